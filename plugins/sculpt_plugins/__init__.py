@@ -1,0 +1,1 @@
+"""Everything one can swap; one folder per plug-in."""

@@ -1,0 +1,62 @@
+"""The table of built-in components: slot -> name -> "module:ConfigClass".
+
+A table and not entry points, because an editable install sees a new entry point only after it is installed again.
+"""
+
+BUILTIN: dict[str, dict[str, str]] = {
+    "field": {
+        "mlp": "sculpt_plugins.fields.mlp.config:MlpFieldConfig",
+        "hash-grid": "sculpt_plugins.fields.hash_grid.config:HashGridFieldConfig",
+        "dense-grid": "sculpt_plugins.fields.dense_grid.config:DenseGridFieldConfig",
+    },
+    "extractor": {
+        "flexicubes": "sculpt_plugins.extractors.flexicubes.config:FlexiCubesConfig",
+        "marching-tetrahedra": "sculpt_plugins.extractors.marching_tetrahedra.config:MarchingTetrahedraConfig",
+    },
+    "binder": {
+        "face-barycentric": "sculpt_plugins.binders.face_barycentric.config:FaceBarycentricConfig",
+    },
+    "appearance": {
+        "per-gaussian": "sculpt_plugins.appearances.per_gaussian.config:PerGaussianConfig",
+        "color-field": "sculpt_plugins.appearances.color_field.config:ColorFieldConfig",
+    },
+    "rasterizer": {
+        "auto": "sculpt_plugins.rasterizers.auto.config:AutoRasterizerConfig",
+        "reference": "sculpt_plugins.rasterizers.reference.config:ReferenceRasterizerConfig",
+        "numba": "sculpt_plugins.rasterizers.numba.config:NumbaRasterizerConfig",
+    },
+    "losses": {
+        "photometric": "sculpt_plugins.losses.photometric.config:PhotometricConfig",
+        "silhouette": "sculpt_plugins.losses.silhouette.config:SilhouetteConfig",
+        "eikonal": "sculpt_plugins.losses.eikonal.config:EikonalConfig",
+        "sign-change": "sculpt_plugins.losses.sign_change.config:SignChangeConfig",
+        "deviation": "sculpt_plugins.losses.deviation.config:DeviationConfig",
+        "cube-weights": "sculpt_plugins.losses.cube_weights.config:CubeWeightsConfig",
+    },
+    "constraints": {
+        "mee-scale": "sculpt_plugins.constraints.mee_scale.config:MeeScaleConfig",
+        "boundary": "sculpt_plugins.constraints.boundary.config:BoundaryConfig",
+        "spacing": "sculpt_plugins.constraints.spacing.config:SpacingConfig",
+        "coverage": "sculpt_plugins.constraints.coverage.config:CoverageConfig",
+    },
+    "initializer": {
+        "sphere": "sculpt_plugins.initializers.sphere.config:SphereConfig",
+        "visual-hull": "sculpt_plugins.initializers.visual_hull.config:VisualHullConfig",
+    },
+    "dataset": {
+        "auto": "sculpt_plugins.datasets.auto.config:AutoDatasetConfig",
+        "blender": "sculpt_plugins.datasets.blender.config:BlenderConfig",
+        "demo": "sculpt_plugins.datasets.demo.config:DemoConfig",
+    },
+    "observers": {
+        "console": "sculpt_plugins.observers.console.config:ConsoleConfig",
+        "recorder": "sculpt_plugins.observers.recorder.config:RecorderConfig",
+        "viser": "sculpt_plugins.observers.viser.config:ViserConfig",
+    },
+}
+
+METHODS: dict[str, str] = {
+    "gaussian-sculpting": "sculpt_methods.sculpting:gaussian_sculpting",
+    "gaussian-sculpting-paper": "sculpt_methods.paper:gaussian_sculpting_paper",
+    "gaussian-sculpting-tiny": "sculpt_methods.sculpting:gaussian_sculpting_tiny",
+}

@@ -1,0 +1,175 @@
+"""Configurations: frozen, keyword-only, free of torch, so that ``--help`` costs no import of it.
+
+A component's config says everything a user may set and builds the component: ``config.build(...)`` imports the code
+inside the method. One base class per slot gives the signature of ``build``; the abstract class of what it returns is
+in the module named after the slot (``sculpt_framework/fields.py`` and so on).
+"""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+if TYPE_CHECKING:
+    import torch
+
+    from sculpt_framework.appearances import Appearance
+    from sculpt_framework.binders import Binder
+    from sculpt_framework.constraints import Constraint
+    from sculpt_framework.datasets import Dataset
+    from sculpt_framework.extractors import Extractor
+    from sculpt_framework.fields import Field
+    from sculpt_framework.geometry.grid import Grid
+    from sculpt_framework.initializers import Initializer
+    from sculpt_framework.losses import GeometryLoss, ImageLoss
+    from sculpt_framework.observers import Observer
+    from sculpt_framework.rasterizers import Rasterizer
+
+
+@dataclass(frozen=True, kw_only=True)
+class ComponentConfig:
+    """Base of every component's config."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FieldConfig(ComponentConfig, ABC):
+    @abstractmethod
+    def build(self, device: "torch.device") -> "Field": ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExtractorConfig(ComponentConfig, ABC):
+    @abstractmethod
+    def build(self, grid: "Grid", device: "torch.device") -> "Extractor": ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class BinderConfig(ComponentConfig, ABC):
+    @abstractmethod
+    def build(self) -> "Binder": ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class AppearanceConfig(ComponentConfig, ABC):
+    @abstractmethod
+    def build(self, device: "torch.device") -> "Appearance": ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class RasterizerConfig(ComponentConfig, ABC):
+    @abstractmethod
+    def build(self, device: "torch.device") -> "Rasterizer": ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class LossConfig(ComponentConfig, ABC):
+    weight: float
+    """Factor of this term in the outer loss."""
+
+    @abstractmethod
+    def build(self) -> "ImageLoss | GeometryLoss": ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConstraintConfig(ComponentConfig, ABC):
+    weight: float
+    """Factor of this term in the inner loss."""
+
+    @abstractmethod
+    def build(self) -> "Constraint": ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class InitializerConfig(ComponentConfig, ABC):
+    @abstractmethod
+    def build(self) -> "Initializer": ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class DatasetConfig(ComponentConfig, ABC):
+    @abstractmethod
+    def build(self, data: str) -> "Dataset":
+        """``data`` is what the user gave as ``--data``."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObserverConfig(ComponentConfig, ABC):
+    @abstractmethod
+    def build(self, run_dir: Path) -> "Observer": ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class StageConfig:
+    """A stretch of training at one grid level and one image size."""
+
+    share: float
+    """Share of the training steps (or, with a time limit, of the time) that this stage takes; relative."""
+    level: int
+    """Grid level: cells are halved with each level."""
+    image_scale: float
+    """Side of the training images relative to the input, in (0, 1]."""
+    inner_steps: int
+    """Inner (Gaussian) steps per outer step, one view each."""
+    outer_views: int
+    """Views whose gradients one outer (surface) step adds up."""
+    silhouette_only: bool = False
+    """Shape by silhouettes alone, before colours count (paper, 3.3)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainerConfig:
+    """The bi-level loop."""
+
+    outer_steps: int
+    """Outer steps without ``--max-time``; with it, time decides."""
+    stages: tuple[StageConfig, ...]
+    """Coarse to fine."""
+    base_cells: int
+    """Grid cells along the longest side of the object's box at level 0."""
+    final_rate: float = 0.05
+    """Learning rates fall exponentially to this share of their start over the run."""
+    gradient_isolation: bool = True
+    """Optimise a detached copy of the Gaussians in the inner loop; off: one joint update of everything (ablation)."""
+    warm_start: bool = True
+    """Keep each face's Gaussian parameters and optimiser state across outer steps; off: start anew (paper)."""
+    low_pass_px2: float = 0.05
+    """Variance added to every splat on the screen, in square pixels (3DGS: 0.3)."""
+    random_background: bool = True
+    """Compose images over a new random colour each step; off: over white."""
+    holdout_every: int = 10
+    """Every so many train views one is held out for choosing the best state; 0: none."""
+    fit_steps: int = 200
+    """Steps of fitting the field to the initial surface."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MethodConfig:
+    """A complete run. Method functions return one; the command line edits it; a run directory keeps it as JSON."""
+
+    method: str
+    """Name the config was made under."""
+    data: str = ""
+    """Folder of the scene, or demo, or demo:NAME."""
+    output: Path | None = None
+    """Run directory, empty or new. Default: outputs/SCENE/METHOD/TIME."""
+    max_time: float | None = None
+    """Wall seconds from the start of the process to the saved mesh. Default: as many steps as the method says."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Where tensors live; auto takes CUDA if there is one."""
+    threads: int | None = None
+    """CPU threads. Default: all cores this process may use."""
+    seed: int = 0
+    """Seed of every random choice."""
+    reference: Path | None = None
+    """Mesh in world frame to measure against. Default: gt_mesh.ply in the data folder, if there is one."""
+    field: FieldConfig
+    extractor: ExtractorConfig
+    binder: BinderConfig
+    appearance: AppearanceConfig
+    rasterizer: RasterizerConfig
+    initializer: InitializerConfig
+    dataset: DatasetConfig
+    losses: tuple[LossConfig, ...]
+    constraints: tuple[ConstraintConfig, ...]
+    observers: tuple[ObserverConfig, ...]
+    trainer: TrainerConfig

@@ -1,0 +1,102 @@
+"""Parameters that belong to named places (faces, cells, grid corners) and survive while their place does.
+
+The set of places changes whenever the surface moves. A ``KeyedTable`` keeps, per integer key, a row of each of its
+parameters *and the row's Adam state*, so that a place which is still there keeps everything exactly, and a new one
+starts with its own bias correction. torch.optim.Adam cannot: its moments are per tensor and its step count is one.
+"""
+
+from collections.abc import Mapping
+
+import torch
+from jaxtyping import Bool, Float, Int64
+from torch import Tensor
+
+
+class KeyedTable:
+    """Rows of named parameters under distinct integer keys, optimised by Adam.
+
+    ``leaves`` are the rows as leaf tensors that collect gradients. Between ``rekey`` calls they stay the same objects.
+    """
+
+    def __init__(self, learning_rates: Mapping[str, float], betas: tuple[float, float] = (0.9, 0.999)):
+        """``learning_rates`` names the parameters; a parameter with rate 0 is kept but never changed."""
+        self.learning_rates = dict(learning_rates)
+        self.betas = betas
+        self.keys: Int64[Tensor, " n"] = torch.empty(0, dtype=torch.int64)
+        self.leaves: dict[str, Tensor] = {}
+        self._first: dict[str, Tensor] = {}
+        self._second: dict[str, Tensor] = {}
+        self._steps: Float[Tensor, " n"] = torch.empty(0)
+
+    def __len__(self) -> int:
+        return self.keys.shape[0]
+
+    def locate(self, keys: Int64[Tensor, " m"]) -> tuple[Int64[Tensor, " m"], Bool[Tensor, " m"]]:
+        """Row of each key and whether it is in the table; the row of an absent key is arbitrary but valid."""
+        if len(self) == 0:
+            return torch.zeros_like(keys), torch.zeros_like(keys, dtype=torch.bool)
+        ordered, order = self.keys.sort()
+        slot = torch.searchsorted(ordered, keys).clamp_(max=len(self) - 1)
+        return order[slot], ordered[slot] == keys
+
+    def rekey(self, keys: Int64[Tensor, " m"], new_rows: Mapping[str, Float[Tensor, "m ..."]]) -> None:
+        """Make ``keys`` the table's keys, in this order.
+
+        ``new_rows`` holds a full set of rows for ``keys``; only those of keys the table did not have are used. Rows and
+        optimiser state of keys that are gone are dropped.
+        """
+        if set(new_rows) != set(self.learning_rates):
+            raise ValueError(f"rows {sorted(new_rows)} do not match parameters {sorted(self.learning_rates)}")
+        row, known = self.locate(keys)
+        had_rows = len(self) > 0
+        for name, fresh in new_rows.items():
+            mask = known.reshape(-1, *([1] * (fresh.ndim - 1)))
+            values, first, second = fresh.detach(), torch.zeros_like(fresh), torch.zeros_like(fresh)
+            if had_rows:
+                values = torch.where(mask, self.leaves[name].detach()[row], values)
+                first = torch.where(mask, self._first[name][row], first)
+                second = torch.where(mask, self._second[name][row], second)
+            self.leaves[name] = values.clone().requires_grad_(self.learning_rates[name] > 0)
+            self._first[name], self._second[name] = first, second
+        steps = torch.zeros(keys.shape[0], device=keys.device)
+        self._steps = torch.where(known, self._steps[row], steps) if had_rows else steps
+        self.keys = keys.clone()
+
+    def zero_grad(self) -> None:
+        for leaf in self.leaves.values():
+            leaf.grad = None
+
+    @torch.no_grad()
+    def step(self, rate_factor: float = 1.0, eps: float = 1e-15) -> None:
+        """One Adam step with the rows' own step counts; parameters without a gradient stay."""
+        if all(leaf.grad is None for leaf in self.leaves.values()):
+            return
+        beta1, beta2 = self.betas
+        self._steps += 1
+        correction1 = 1 - beta1**self._steps
+        correction2 = (1 - beta2**self._steps).sqrt_()
+        for name, leaf in self.leaves.items():
+            if leaf.grad is None:
+                continue
+            shape = (-1, *([1] * (leaf.ndim - 1)))
+            first = self._first[name].lerp_(leaf.grad, 1 - beta1)
+            second = self._second[name].mul_(beta2).addcmul_(leaf.grad, leaf.grad, value=1 - beta2)
+            scale = (correction2 / correction1 * (rate_factor * self.learning_rates[name])).reshape(shape)
+            leaf.sub_(first / second.sqrt().add_(eps) * scale)
+
+    def state(self) -> dict[str, Tensor]:
+        """Everything as named tensors, for a checkpoint."""
+        out = {"keys": self.keys, "steps": self._steps}
+        for name, leaf in self.leaves.items():
+            out[f"value.{name}"] = leaf.detach()
+            out[f"first.{name}"] = self._first[name]
+            out[f"second.{name}"] = self._second[name]
+        return out
+
+    def load_state(self, state: Mapping[str, Tensor]) -> None:
+        """Inverse of ``state``. Raises KeyError where an entry is missing."""
+        self.keys, self._steps = state["keys"].clone(), state["steps"].clone()
+        for name, rate in self.learning_rates.items():
+            self.leaves[name] = state[f"value.{name}"].clone().requires_grad_(rate > 0)
+            self._first[name] = state[f"first.{name}"].clone()
+            self._second[name] = state[f"second.{name}"].clone()

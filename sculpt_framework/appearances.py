@@ -3,7 +3,6 @@
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 
-import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
@@ -42,11 +41,6 @@ class Appearance(nn.Module, ABC):
         """Parameter groups for Adam, each with ``params`` and its own ``lr``; empty if nothing is shared."""
 
 
-def constant_colour(rgb: Float[Tensor, "... 3"]) -> Float[Tensor, "... 3"]:
-    """The band-0 coefficient that shows as this colour."""
-    return (rgb - 0.5) / 0.28209479177387814
-
-
 def check_degree(degree: int) -> None:
     if not 0 <= degree <= 3:
         raise ValueError(f"spherical-harmonics degree must be 0 to 3, not {degree}")
@@ -54,7 +48,3 @@ def check_degree(degree: int) -> None:
 
 def bands(degree: int) -> int:
     return (degree + 1) ** 2
-
-
-def empty_rows(means: Float[Tensor, "f k 3"], degree: int) -> Float[Tensor, "f k b 3"]:
-    return torch.zeros(*means.shape[:2], bands(degree), 3, dtype=means.dtype, device=means.device)

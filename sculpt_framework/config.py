@@ -132,6 +132,10 @@ class TrainerConfig:
     """Optimise a detached copy of the Gaussians in the inner loop; off: one joint update of everything (ablation)."""
     warm_start: bool = True
     """Keep each face's Gaussian parameters and optimiser state across outer steps; off: start anew (paper)."""
+    bind_every: int = 4
+    """Places, scales and rotations of the Gaussians learn in every so many inner steps; colours in all."""
+    sh_degree_every: int = 1000
+    """Inner steps after which one more degree of spherical harmonics becomes active (3DGS: 1000)."""
     low_pass_px2: float = 0.05
     """Variance added to every splat on the screen, in square pixels (3DGS: 0.3)."""
     random_background: bool = True
@@ -140,6 +144,10 @@ class TrainerConfig:
     """Every so many train views one is held out for choosing the best state; 0: none."""
     fit_steps: int = 200
     """Steps of fitting the field to the initial surface."""
+    polish_steps: int = 100
+    """Inner steps on the final surface, for the colours that are saved."""
+    checkpoint_seconds: float = 60.0
+    """Wall seconds between checkpoints."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,6 +6,11 @@ from sculpt_framework.engine.events import Event
 
 
 class Observer(ABC):
+    @property
+    @abstractmethod
+    def snapshot_seconds(self) -> float | None:
+        """Least training seconds between "snapshot" events; None: this observer wants none, and none costs nothing."""
+
     @abstractmethod
     def notify(self, event: Event) -> None:
         """Called in the training thread for every event, in order; must return at once."""

@@ -1,0 +1,69 @@
+"""The default method and its variants for tests and first contact."""
+
+from dataclasses import replace
+
+from sculpt_framework.config import MethodConfig, StageConfig, TrainerConfig
+from sculpt_plugins.appearances.color_field.config import ColorFieldConfig
+from sculpt_plugins.binders.face_barycentric.config import FaceBarycentricConfig
+from sculpt_plugins.constraints.boundary.config import BoundaryConfig
+from sculpt_plugins.constraints.coverage.config import CoverageConfig
+from sculpt_plugins.constraints.mee_scale.config import MeeScaleConfig
+from sculpt_plugins.constraints.spacing.config import SpacingConfig
+from sculpt_plugins.datasets.auto.config import AutoDatasetConfig
+from sculpt_plugins.extractors.flexicubes.config import FlexiCubesConfig
+from sculpt_plugins.fields.hash_grid.config import HashGridFieldConfig
+from sculpt_plugins.initializers.visual_hull.config import VisualHullConfig
+from sculpt_plugins.losses.deviation.config import DeviationConfig
+from sculpt_plugins.losses.eikonal.config import EikonalConfig
+from sculpt_plugins.losses.photometric.config import PhotometricConfig
+from sculpt_plugins.losses.sign_change.config import SignChangeConfig
+from sculpt_plugins.losses.silhouette.config import SilhouetteConfig
+from sculpt_plugins.observers.console.config import ConsoleConfig
+from sculpt_plugins.observers.recorder.config import RecorderConfig
+from sculpt_plugins.rasterizers.auto.config import AutoRasterizerConfig
+
+
+def gaussian_sculpting() -> MethodConfig:
+    """The default: hash-grid SDF, FlexiCubes, warm inner loop, coarse to fine; minutes on a CPU."""
+    return MethodConfig(
+        method="gaussian-sculpting",
+        field=HashGridFieldConfig(),
+        extractor=FlexiCubesConfig(),
+        binder=FaceBarycentricConfig(),
+        appearance=ColorFieldConfig(),
+        rasterizer=AutoRasterizerConfig(),
+        initializer=VisualHullConfig(),
+        dataset=AutoDatasetConfig(),
+        losses=(PhotometricConfig(), SilhouetteConfig(), EikonalConfig(), SignChangeConfig(), DeviationConfig()),
+        constraints=(MeeScaleConfig(), BoundaryConfig(), SpacingConfig(), CoverageConfig()),
+        observers=(ConsoleConfig(), RecorderConfig()),
+        trainer=TrainerConfig(
+            outer_steps=300,
+            base_cells=32,
+            stages=(
+                StageConfig(share=0.1, level=0, image_scale=0.25, inner_steps=4, outer_views=4),
+                StageConfig(share=0.3, level=1, image_scale=0.5, inner_steps=4, outer_views=4),
+                StageConfig(share=0.6, level=2, image_scale=1.0, inner_steps=4, outer_views=4),
+            ),
+        ),
+    )
+
+
+def gaussian_sculpting_tiny() -> MethodConfig:
+    """A few coarse steps in seconds: for tests and first contact."""
+    base = gaussian_sculpting()
+    return replace(
+        base,
+        method="gaussian-sculpting-tiny",
+        trainer=replace(
+            base.trainer,
+            outer_steps=24,
+            base_cells=16,
+            fit_steps=60,
+            polish_steps=20,
+            stages=(
+                StageConfig(share=0.4, level=0, image_scale=0.25, inner_steps=2, outer_views=2),
+                StageConfig(share=0.6, level=1, image_scale=0.5, inner_steps=2, outer_views=2),
+            ),
+        ),
+    )

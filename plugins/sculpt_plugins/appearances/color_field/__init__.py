@@ -1,0 +1,1 @@
+"""A colour field over position plus a small residual per Gaussian."""

@@ -1,0 +1,1 @@
+"""Spherical harmonics on every Gaussian (the paper's)."""

@@ -1,0 +1,26 @@
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from sculpt_framework.config import AppearanceConfig
+
+if TYPE_CHECKING:
+    import torch
+
+    from sculpt_plugins.appearances.per_gaussian.appearance import PerGaussianAppearance
+
+
+@dataclass(frozen=True, kw_only=True)
+class PerGaussianConfig(AppearanceConfig):
+    """Spherical harmonics on every Gaussian, kept under its face's key (the paper's appearance)."""
+
+    sh_degree: int = 0
+    """Degree of the spherical harmonics, 0 to 3 (3DGS: 3); 0 means colour does not depend on the view."""
+    rate: float = 2.5e-3
+    """Adam's rate of band 0 (3DGS: 0.0025)."""
+    rest_rate: float = 1.25e-4
+    """Adam's rate of the higher bands (3DGS: 0.0025 / 20)."""
+
+    def build(self, device: "torch.device") -> "PerGaussianAppearance":
+        from sculpt_plugins.appearances.per_gaussian.appearance import PerGaussianAppearance
+
+        return PerGaussianAppearance(self)

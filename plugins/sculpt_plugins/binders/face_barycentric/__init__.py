@@ -1,0 +1,1 @@
+"""K Gaussians per face at learnable barycentric coordinates (the paper's)."""

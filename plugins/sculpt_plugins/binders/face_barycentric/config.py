@@ -1,0 +1,40 @@
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+from sculpt_framework.config import BinderConfig
+
+if TYPE_CHECKING:
+    from sculpt_plugins.binders.face_barycentric.binder import FaceBarycentricBinder
+
+
+@dataclass(frozen=True, kw_only=True)
+class FaceBarycentricConfig(BinderConfig):
+    """K Gaussians per face at learnable barycentric coordinates, flat along the normal."""
+
+    gaussians_per_face: int = 1
+    """K, 1 to 12."""
+    scale: float = 0.6
+    """Start of the tangential standard deviations, as a share of the reference ellipse's radii."""
+    reference: Literal["steiner", "edges"] = "steiner"
+    """Reference radii: the triangle's Steiner circumellipse, or half of two edges (paper, eq. 2)."""
+    normal_scale: float = 1e-3
+    """Standard deviation along the normal, the paper's epsilon, in object units."""
+    inset: float = 0.0
+    """Distance by which Gaussians lie inside the face along its normal, in object units."""
+    opacity: Literal["fixed", "learnable"] = "fixed"
+    """Fixed at theta (paper), or learned per Gaussian from there (ablation)."""
+    theta: float = 0.99
+    """The opacity close to one."""
+    barycentric_rate: float = 1e-3
+    """Adam's rate of the barycentric logits."""
+    scale_rate: float = 5e-3
+    """Adam's rate of the logarithms of the scale ratios (3DGS: 0.005)."""
+    rotation_rate: float = 1e-3
+    """Adam's rate of the in-plane rotation, in radians (3DGS: 0.001); 0: the frame is the face's own."""
+    opacity_rate: float = 5e-2
+    """Adam's rate of the opacity logits, if learnable (3DGS: 0.05)."""
+
+    def build(self) -> "FaceBarycentricBinder":
+        from sculpt_plugins.binders.face_barycentric.binder import FaceBarycentricBinder
+
+        return FaceBarycentricBinder(self)

@@ -1,0 +1,1 @@
+"""What Gaussians on a face must keep to."""

@@ -1,0 +1,1 @@
+"""Gaussians of a face spread over it."""

@@ -1,0 +1,1 @@
+"""Gaussians inside their face's ellipse."""

@@ -1,0 +1,1 @@
+"""Datasets: where views come from."""

@@ -1,0 +1,1 @@
+"""Recognises what ``--data`` names and hands it to the dataset that reads it."""

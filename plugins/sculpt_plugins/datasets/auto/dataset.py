@@ -1,0 +1,63 @@
+"""The table of what can be recognised. A new layout is a row in it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from sculpt_framework.config import DatasetConfig
+from sculpt_framework.datasets import Dataset
+from sculpt_framework.errors import DataError
+from sculpt_framework.posed_images.folders import contents, scene_folder
+from sculpt_framework.types import Scene
+
+# Choosing among the plug-ins of its own slot is all this one does, so it names them; by their configs, which are cheap.
+from sculpt_plugins.datasets.blender.config import BlenderConfig
+from sculpt_plugins.datasets.demo.config import DemoConfig
+
+
+@dataclass(frozen=True, kw_only=True)
+class Layout:
+    name: str
+    mark: str
+    """What a folder of this layout is recognised by, for people."""
+    recognises: Callable[[Path], bool]
+    config: DatasetConfig
+
+
+LAYOUTS = (
+    Layout(
+        name="NeRF-Synthetic",
+        mark="transforms_train.json",
+        recognises=lambda folder: (folder / "transforms_train.json").exists(),
+        config=BlenderConfig(),
+    ),
+)
+
+
+class AutoDataset(Dataset):
+    def __init__(self, data: str):
+        """Raises DataError, with the layouts there are, if ``data`` is none of them."""
+        if data == "demo" or data.startswith("demo:"):
+            self.note = None
+            self.chosen = DemoConfig().build(data)
+            return
+        layout = recognise(data)
+        self.note = f"layout: {layout.name} (there is {layout.mark})."
+        self.chosen = layout.config.build(data)
+
+    def load(self) -> Scene:
+        scene = self.chosen.load()
+        return scene if self.note is None else replace(scene, notes=(self.note, *scene.notes))
+
+
+def recognise(data: str) -> Layout:
+    """The layout of a folder. Raises DataError if there is no such folder or it has no known layout."""
+    folder = scene_folder(data)
+    for layout in LAYOUTS:
+        if layout.recognises(folder):
+            return layout
+    below = [path for path in folder.iterdir() if path.is_dir()]
+    inside = sorted(path.name for path in below if any(layout.recognises(path) for layout in LAYOUTS))
+    found = f"scenes inside it ({', '.join(inside[:4])}): give one of them" if inside else contents(folder)
+    known = "; ".join(f"{layout.name} ({layout.mark})" for layout in LAYOUTS)
+    raise DataError(f"{data}: not a layout that is known; found {found}; layouts: {known}; or demo, demo:NAME.")

@@ -1,0 +1,20 @@
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+from sculpt_framework.config import DatasetConfig
+
+if TYPE_CHECKING:
+    from sculpt_plugins.datasets.blender.dataset import BlenderDataset
+
+
+@dataclass(frozen=True, kw_only=True)
+class BlenderConfig(DatasetConfig):
+    """A folder in NeRF-Synthetic layout: transforms_train.json, optionally _test and _val, and images."""
+
+    background: Literal["auto", "white", "black", "none"] = "auto"
+    """What is behind images without alpha; auto looks for a constant colour at their borders, none keys nothing."""
+
+    def build(self, data: str) -> "BlenderDataset":
+        from sculpt_plugins.datasets.blender.dataset import BlenderDataset
+
+        return BlenderDataset(self, data)

@@ -1,0 +1,1 @@
+"""Scenes the project makes itself; ``--data demo`` or ``--data demo:NAME`` needs no file."""

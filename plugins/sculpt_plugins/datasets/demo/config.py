@@ -1,0 +1,24 @@
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from sculpt_framework.config import DatasetConfig
+
+if TYPE_CHECKING:
+    from sculpt_plugins.datasets.demo.dataset import DemoDataset
+
+
+@dataclass(frozen=True, kw_only=True)
+class DemoConfig(DatasetConfig):
+    """A built-in scene: --data demo, or demo:NAME (blob, dents, thin, double-torus, gaps)."""
+
+    resolution: int = 400
+    """Side of the square images, in pixels."""
+    train_views: int = 100
+    """Images to learn from."""
+    test_views: int = 20
+    """Images to measure on, from other places."""
+
+    def build(self, data: str) -> "DemoDataset":
+        from sculpt_plugins.datasets.demo.dataset import DemoDataset
+
+        return DemoDataset(self, data)

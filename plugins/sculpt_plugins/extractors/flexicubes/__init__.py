@@ -1,0 +1,1 @@
+"""Dual surface extraction with learnable weights (Shen et al. 2023), on a narrow band."""

@@ -1,0 +1,99 @@
+"""Geometry of the dual surface: pure, differentiable functions of a fixed connectivity."""
+
+import torch
+from jaxtyping import Bool, Float, Int64
+from torch import Tensor
+
+from sculpt_framework.geometry.band import LEAST_DROP, crossing_weight
+from sculpt_framework.geometry.faces import smallest_angles
+from sculpt_plugins.extractors.flexicubes.topology import DualTopology
+
+PREFERRED_BY = 0.05
+"""Radians by which the second diagonal must be better than the first: on a square quad, the most common one, both are
+equal up to rounding, and the choice, which is part of the face's name, should not flicker."""
+
+
+def dual_vertices(
+    topology: DualTopology,
+    corner_positions: Float[Tensor, "n 3"],
+    corner_sdf: Float[Tensor, " n"],
+    cell: float,
+    alpha: Float[Tensor, "c 8"] | None = None,
+    beta: Float[Tensor, "c 12"] | None = None,
+) -> tuple[Float[Tensor, "d 3"], Float[Tensor, " d"]]:
+    """Positions of the dual vertices, and of each the mean absolute deviation of its distances to its crossings.
+
+    On every edge of its loop a cell sees the crossing u = (a_o x_i + a_i x_o) / (a_i + a_o), with a = alpha |sdf| at
+    the inner and outer end; the vertex is the mean of these, weighted by beta. ``alpha`` and ``beta`` are positive and
+    1 where they are not given. Crossings and gradients stay finite where both ends are 0 (``crossing_weight``).
+    """
+    ends = corner_positions.index_select(0, topology.ends.reshape(-1)).reshape(-1, 2, 3)
+    reach = corner_sdf.index_select(0, topology.ends.reshape(-1)).reshape(-1, 1, 2).abs()
+    if alpha is not None:
+        reach = reach * alpha[topology.cells[..., None], topology.cell_ends]
+    weight = crossing_weight(reach[..., 0], reach[..., 1], LEAST_DROP * cell)
+    inner, outer = ends[:, None, 0], ends[:, None, 1]
+    crossings = (inner + weight[..., None] * (outer - inner)).expand(-1, 4, 3).reshape(-1, 3)
+
+    vertex = topology.vertices.reshape(-1)
+    if beta is None:
+        total = torch.bincount(vertex, minlength=topology.vertex_count).to(crossings)
+        summed = crossings.new_zeros(topology.vertex_count, 3).index_add(0, vertex, crossings)
+    else:
+        share = beta[topology.cells, topology.cell_edge].reshape(-1)
+        total = share.new_zeros(topology.vertex_count).index_add(0, vertex, share)
+        summed = crossings.new_zeros(topology.vertex_count, 3).index_add(0, vertex, crossings * share[:, None])
+    vertices = summed / total[:, None]
+    return vertices, _deviation(vertices, crossings, vertex)
+
+
+def _deviation(
+    vertices: Float[Tensor, "d 3"], crossings: Float[Tensor, "m 3"], vertex: Int64[Tensor, " m"]
+) -> Float[Tensor, " d"]:
+    """Mean absolute deviation, at each vertex, of its distances to its crossings. The gradient at distance 0 is 0."""
+    distance = torch.linalg.vector_norm(vertices.index_select(0, vertex) - crossings, dim=1)
+    count = torch.bincount(vertex, minlength=vertices.shape[0]).to(distance)
+    zeros = distance.new_zeros(vertices.shape[0])
+    mean = zeros.index_add(0, vertex, distance) / count
+    return zeros.index_add(0, vertex, (distance - mean.index_select(0, vertex)).abs()) / count
+
+
+def diagonal_split(
+    vertices: Float[Tensor, "d 3"], quads: Int64[Tensor, "e 4"]
+) -> tuple[Int64[Tensor, "e 2 3"], Bool[Tensor, " e"]]:
+    """Two triangles per quad, and whether they meet along its second diagonal (1-3) and not its first (0-2).
+
+    The diagonal with the larger smallest angle wins, unless it folds the quad over and the other one does not.
+    """
+    corner = vertices.detach().index_select(0, quads.reshape(-1)).reshape(-1, 4, 3)
+    side = corner.roll(-1, dims=1) - corner
+    diagonal = corner[:, 2:] - corner[:, :2]
+    # Triangle n is (n, n + 1, n + 2): 0 and 2 share the first diagonal, 1 and 3 the second.
+    area_vector = torch.linalg.cross(side, side.roll(-1, dims=1))
+    lengths = side.square().sum(dim=2)
+    squares = torch.stack([lengths, lengths.roll(-1, dims=1), diagonal.square().sum(dim=2).repeat(1, 2)], dim=2)
+    angle = smallest_angles(squares, torch.linalg.vector_norm(area_vector, dim=2))
+    folded = (area_vector[:, :2] * area_vector[:, 2:]).sum(dim=2) < 0
+    score = torch.minimum(angle[:, :2], angle[:, 2:]) - torch.pi * folded
+    use_second = score[:, 1] > score[:, 0] + PREFERRED_BY
+    split = torch.tensor([[[0, 1, 2], [0, 2, 3]], [[0, 1, 3], [1, 2, 3]]], device=quads.device)[use_second.long()]
+    return quads.gather(1, split.reshape(-1, 6)).reshape(-1, 2, 3), use_second
+
+
+def center_split(
+    vertices: Float[Tensor, "d 3"], quads: Int64[Tensor, "e 4"], gamma: Float[Tensor, "e 4"] | None = None
+) -> tuple[Int64[Tensor, "e 4 3"], Float[Tensor, "e 3"]]:
+    """Four triangles round the centre of each quad, and the centres, which are numbered after the vertices.
+
+    The centre is a mean of the middles of the two diagonals, each weighted by the product of gamma > 0 of the cells at
+    its ends, so that gamma can bend the quad towards either diagonal; without gamma it is the mean of the corners.
+    """
+    corner = vertices.index_select(0, quads.reshape(-1)).reshape(-1, 4, 3)
+    diagonals = corner[:, :2] + corner[:, 2:]
+    if gamma is None:
+        centers = 0.25 * diagonals.sum(dim=1)
+    else:
+        weight = gamma[:, :2] * gamma[:, 2:]
+        centers = (weight[..., None] * diagonals).sum(dim=1) / (2 * weight.sum(dim=1, keepdim=True))
+    center = torch.arange(quads.shape[0], device=quads.device) + vertices.shape[0]
+    return torch.stack([quads, quads.roll(-1, dims=1), center[:, None].expand(-1, 4)], dim=2), centers

@@ -1,0 +1,1 @@
+"""A pyramid of dense grids: the discrete SDF of the paper's ablation."""

@@ -1,0 +1,28 @@
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from sculpt_framework.config import FieldConfig
+
+if TYPE_CHECKING:
+    import torch
+
+    from sculpt_plugins.fields.dense_grid.field import DenseGridField
+
+
+@dataclass(frozen=True, kw_only=True)
+class DenseGridFieldConfig(FieldConfig):
+    """Signed distances stored on a dense grid: the discrete SDF of the paper's ablation."""
+
+    resolution: int = 96
+    """Cells across [-1, 1]; memory grows with its cube."""
+    features: int = 0
+    """Length of the feature vector beside the distance."""
+    sphere_radius: float = 0.5
+    """Radius of the sphere the field starts as, in object units."""
+    learning_rate: float = 1e-3
+    """Adam's rate before the schedule, in object units per step."""
+
+    def build(self, device: "torch.device") -> "DenseGridField":
+        from sculpt_plugins.fields.dense_grid.field import DenseGridField
+
+        return DenseGridField(self).to(device)

@@ -1,0 +1,41 @@
+"""A discrete SDF: one number per grid corner, trilinear in between."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn import functional
+
+from sculpt_framework.fields import Field
+from sculpt_framework.types import FieldSample
+from sculpt_plugins.fields.dense_grid.config import DenseGridFieldConfig
+
+
+class DenseGridField(Field):
+    """Values on [-1, 1]^3; outside, the value at the nearest wall plus the distance to it."""
+
+    def __init__(self, config: DenseGridFieldConfig):
+        super().__init__()
+        if config.resolution < 2:
+            raise ValueError(f"dense grid needs at least 2 cells, not {config.resolution}")
+        self._config = config
+        axis = torch.linspace(-1.0, 1.0, config.resolution + 1)
+        z, y, x = torch.meshgrid(axis, axis, axis, indexing="ij")
+        values = (x * x + y * y + z * z).sqrt() - config.sphere_radius
+        channels = torch.cat([values[None], torch.zeros(config.features, *values.shape)])
+        self.values = nn.Parameter(channels[None])
+
+    def forward(self, points: Float[Tensor, "n 3"]) -> FieldSample:
+        inside = points.clamp(-1.0, 1.0)
+        sampled = functional.grid_sample(
+            self.values, inside[None, None, None], mode="bilinear", padding_mode="border", align_corners=True
+        )[0, :, 0, 0].T
+        outside = points - inside
+        # norm() has no gradient at 0, which is where all inner points are.
+        beyond = torch.where(outside == 0, 0.0, outside.abs()).sum(dim=1)
+        return FieldSample(sdf=sampled[:, 0] + beyond, features=sampled[:, 1:])
+
+    def optimizer_groups(self) -> list[dict]:
+        return [{"params": [self.values], "lr": self._config.learning_rate}]
+
+    def set_detail(self, cell_size: float) -> None:
+        """The grid's one resolution is always on."""

@@ -1,0 +1,1 @@
+"""A multi-resolution hash grid with a small decoder: the fast field."""

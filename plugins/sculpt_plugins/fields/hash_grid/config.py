@@ -1,0 +1,40 @@
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from sculpt_framework.config import FieldConfig
+
+if TYPE_CHECKING:
+    import torch
+
+    from sculpt_plugins.fields.hash_grid.field import HashGridField
+
+
+@dataclass(frozen=True, kw_only=True)
+class HashGridFieldConfig(FieldConfig):
+    """A multi-resolution hash grid with a linear or small MLP decoder, on top of the distance to a sphere."""
+
+    num_levels: int = 7
+    """Levels of the grid."""
+    features_per_level: int = 2
+    """Numbers stored per grid corner."""
+    log2_table: int = 19
+    """Entries per level at most, as a power of two; levels that fit are stored without collisions."""
+    base_resolution: int = 4
+    """Cells across [-1, 1] at the coarsest level."""
+    finest_resolution: int = 256
+    """Cells across [-1, 1] at the finest level."""
+    hidden_units: int = 0
+    """Units of the decoder's one hidden layer; 0: a linear decoder."""
+    features: int = 0
+    """Length of the feature vector beside the distance."""
+    sphere_radius: float = 0.5
+    """Radius of the sphere the field starts as, in object units."""
+    learning_rate: float = 2e-3
+    """Adam's rate of the table before the schedule, for the coarsest level."""
+    coarse_to_fine: bool = True
+    """Wake levels up only when the extraction grid is fine enough to see them."""
+
+    def build(self, device: "torch.device") -> "HashGridField":
+        from sculpt_plugins.fields.hash_grid.field import HashGridField
+
+        return HashGridField(self).to(device)

@@ -1,0 +1,74 @@
+"""An SDF on a multi-resolution hash grid: the distance to a sphere plus a decoded correction."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from sculpt_framework.encodings.hash_grid import HashEncoding
+from sculpt_framework.fields import Field
+from sculpt_framework.types import FieldSample
+from sculpt_plugins.fields.hash_grid.config import HashGridFieldConfig
+
+
+class HashGridField(Field):
+    """sdf(x) = |x| - radius + correction(x).
+
+    With a linear decoder the correction is a pyramid of grids: sum over levels of (features of the level, added up)
+    times the level's cell size relative to the coarsest. Adam moves every table entry at about the same pace, so the
+    factor makes coarse levels move the surface far and fine ones a little: a multigrid preconditioner, and the reason
+    why the fine levels do not get noisy before the coarse ones have settled. With ``hidden_units`` the scaled features
+    pass a one-layer softplus decoder that starts at zero output.
+    """
+
+    def __init__(self, config: HashGridFieldConfig):
+        super().__init__()
+        self._config = config
+        self._encoding = HashEncoding(
+            levels=config.num_levels,
+            features_per_level=config.features_per_level,
+            log2_table=config.log2_table,
+            base_resolution=config.base_resolution,
+            finest_resolution=config.finest_resolution,
+            init_scale=1e-4 if config.hidden_units else 0.0,
+        )
+        resolutions = torch.tensor(self._encoding.resolutions, dtype=torch.float32)
+        scale = (resolutions[0] / resolutions).repeat_interleave(config.features_per_level)
+        self.register_buffer("_level_scale", scale, persistent=False)
+        self._active_levels = config.num_levels
+        channels = config.num_levels * config.features_per_level
+        self._decoder: nn.Module | None = None
+        if config.hidden_units or config.features:
+            hidden = config.hidden_units or channels
+            first = (
+                nn.Sequential(nn.Linear(channels, hidden), nn.Softplus(beta=100.0))
+                if config.hidden_units
+                else []
+            )
+            last = nn.Linear(hidden, 1 + config.features)
+            nn.init.zeros_(last.bias)
+            nn.init.normal_(last.weight, std=1e-3)
+            self._decoder = nn.Sequential(*first, last)
+
+    def forward(self, points: Float[Tensor, "n 3"]) -> FieldSample:
+        encoded = self._encoding(points, active_levels=self._active_levels) * self._level_scale
+        if self._decoder is None:
+            correction, features = encoded.sum(dim=1), encoded[:, :0]
+        else:
+            decoded = self._decoder(encoded)
+            correction, features = decoded[:, 0], decoded[:, 1:]
+        # The distance to the centre has no gradient there; a hair of rounding off gives it one.
+        distance = (points.square().sum(dim=1) + 1e-12).sqrt()
+        return FieldSample(sdf=distance - self._config.sphere_radius + correction, features=features)
+
+    def optimizer_groups(self) -> list[dict]:
+        groups = [{"params": list(self._encoding.parameters()), "lr": self._config.learning_rate}]
+        if self._decoder is not None:
+            groups.append({"params": list(self._decoder.parameters()), "lr": self._config.learning_rate})
+        return groups
+
+    def set_detail(self, cell_size: float) -> None:
+        if not self._config.coarse_to_fine:
+            return
+        # A level finer than the extraction grid would be seen at its corners only: noise in between.
+        useful = [r for r in self._encoding.resolutions if 2.0 / r >= 0.99 * cell_size]
+        self._active_levels = max(1, len(useful))

@@ -1,0 +1,33 @@
+"""The start that knows nothing."""
+
+from collections.abc import Sequence
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from sculpt_framework.extractors import SdfFunction
+from sculpt_framework.initializers import Initializer
+from sculpt_framework.types import View
+
+
+class Sphere(Initializer):
+    """(|x / half sides| - fill) times the shortest half side: a sphere in a cubic box, never steeper than a distance."""
+
+    def __init__(self, fill: float):
+        if not 0 < fill < 1:
+            raise ValueError(f"fill must lie between 0 and 1, not {fill}")
+        self._fill = fill
+
+    @property
+    def silhouette_first(self) -> bool:
+        return True
+
+    def target(self, views: Sequence[View], half_sides: Float[Tensor, " 3"], device: torch.device) -> SdfFunction:
+        sides = half_sides.to(device=device, dtype=torch.float32)
+        shortest = float(sides.min())
+
+        def ellipsoid(points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
+            return ((points / sides.to(points)).norm(dim=1) - self._fill) * shortest
+
+        return ellipsoid

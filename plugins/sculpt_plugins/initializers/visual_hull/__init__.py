@@ -1,0 +1,1 @@
+"""What the silhouettes alone say."""

@@ -1,0 +1,1 @@
+"""FlexiCubes' L_dev."""

@@ -1,0 +1,1 @@
+"""Gradient norm one around the surface."""

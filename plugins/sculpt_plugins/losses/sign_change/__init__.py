@@ -1,0 +1,1 @@
+"""Few sign changes: against floaters and inner bubbles."""

@@ -1,0 +1,1 @@
+"""Coverage against the mask."""

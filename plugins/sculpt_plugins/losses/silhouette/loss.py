@@ -1,0 +1,20 @@
+"""Coverage difference (paper, 3.3: the silhouette mask loss)."""
+
+from jaxtyping import Float
+from torch import Tensor
+
+from sculpt_framework.losses import ImageLoss, Target
+from sculpt_framework.types import Rendering
+
+
+class Silhouette(ImageLoss):
+    """Mean over pixels of |alpha - mask|^power; 0 where the image has no mask."""
+
+    def __init__(self, power: float):
+        self._power = power
+
+    def __call__(self, rendering: Rendering, target: Target) -> Float[Tensor, ""]:
+        if target.alpha is None:
+            return rendering.alpha.new_zeros(())
+        difference = rendering.alpha - target.alpha
+        return difference.square().mean() if self._power == 2.0 else difference.abs().pow(self._power).mean()

@@ -1,0 +1,1 @@
+"""Who hears what training does; one folder per plug-in."""

@@ -1,0 +1,1 @@
+"""Tells what happens: a live display in a terminal, plain lines elsewhere."""

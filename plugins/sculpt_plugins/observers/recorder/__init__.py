@@ -1,0 +1,1 @@
+"""Keeps what happened: events.jsonl, curve.csv, metrics.json in the run directory."""

@@ -1,0 +1,1 @@
+"""The surface being sculpted, in a browser."""

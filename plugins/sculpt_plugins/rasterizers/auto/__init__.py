@@ -1,0 +1,1 @@
+"""Whichever backend suits the device best."""

@@ -1,0 +1,1 @@
+"""Plain torch: the twin every other backend is compared with."""

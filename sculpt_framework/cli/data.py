@@ -1,0 +1,109 @@
+"""``sculpt-data``: write demo scenes, look at a scene before training on it."""
+
+import argparse
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, cast
+
+from sculpt_framework import registry
+from sculpt_framework.cli import exit_codes
+
+if TYPE_CHECKING:
+    from sculpt_framework.config import DatasetConfig
+    from sculpt_framework.types import Scene, View
+
+
+def main() -> None:
+    """The console script ``sculpt-data``."""
+    exit_codes.run(data)
+
+
+def data() -> None:
+    """Parse and do it. Raises SculptError; exits as argparse does for unknown options."""
+    arguments = _parser().parse_args()
+    if arguments.command == "demo":
+        write_demo(arguments.name, arguments.folder, arguments.views, arguments.test_views, arguments.resolution)
+    elif arguments.command == "list":
+        _say(demo_list())
+    else:
+        _say(inspect(arguments.folder))
+
+
+def write_demo(name: str, folder: Path, views: int, test_views: int, resolution: int) -> None:
+    """Render a demo scene into a new or empty folder. Raises DataError, ConfigError, OutputError."""
+    from sculpt_framework.demo_scenes.folder import DemoSettings, write_scene
+    from sculpt_framework.demo_scenes.objects import demo_object
+
+    settings = DemoSettings(train_views=views, test_views=test_views, resolution=resolution)
+    item = demo_object(name)
+    live = sys.stderr.isatty()
+
+    def progress(done: int, total: int) -> None:
+        if live:
+            sys.stderr.write(f"\rrendering {done}/{total}" + ("\n" if done == total else ""))
+            sys.stderr.flush()
+
+    write_scene(item, settings, folder, progress)
+    _say([f"{folder}: {views} train and {test_views} test views of '{name}', {resolution}x{resolution}, gt_mesh.ply"])
+
+
+def demo_list() -> list[str]:
+    """One line per demo scene."""
+    from sculpt_framework.demo_scenes.objects import DEFAULT, OBJECTS
+
+    width = max(len(name) for name in OBJECTS)
+    return [f"{n:{width}}  {item.summary}{' (what demo means)' * (n == DEFAULT)}" for n, item in OBJECTS.items()]
+
+
+def inspect(folder: str) -> list[str]:
+    """The lines of a scene's card. Raises DataError."""
+    dataset = cast("DatasetConfig", registry.default("dataset", "auto")).build(folder)
+    return scene_card(dataset.load())
+
+
+def scene_card(scene: "Scene") -> list[str]:
+    """What there is to know about a scene before training on it, one fact a line."""
+    sides = " x ".join(f"{side:.3g}" for side in (scene.box.maximum - scene.box.minimum).tolist())
+    middle = " ".join(f"{value:.3g}" for value in scene.box.center.tolist())
+    return [
+        f"scene      {scene.name}",
+        f"train      {_views(scene.train)}",
+        f"test       {_views(scene.test)}",
+        f"box        {sides} around ({middle})",
+        f"reference  {scene.reference_mesh or 'none'}",
+        *(f"note       {note}" for note in scene.notes),
+    ]
+
+
+def _views(views: "Sequence[View]") -> str:
+    if not views:
+        return "none"
+    sizes = sorted({(view.camera.width, view.camera.height) for view in views})
+    size = f"{sizes[0][0]}x{sizes[0][1]}" + (f" to {sizes[-1][0]}x{sizes[-1][1]}" if len(sizes) > 1 else "")
+    masked = sum(view.alpha is not None for view in views)
+    alpha = "with alpha" if masked == len(views) else "without alpha" if masked == 0 else f"{masked} with alpha"
+    return f"{len(views)} {'view' if len(views) == 1 else 'views'}, {size}, {alpha}"
+
+
+def _say(lines: Iterable[str]) -> None:
+    sys.stdout.write("".join(f"{line}\n" for line in lines))
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="sculpt-data", description="Demo scenes, and a look at your own.")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    demo = commands.add_parser("demo", help="write a demo scene as a folder in NeRF-Synthetic layout")
+    demo.add_argument("name", metavar="NAME", help="one of sculpt-data list")
+    demo.add_argument("folder", metavar="DIR", type=Path, help="new or empty folder")
+    demo.add_argument("--views", type=int, default=100, metavar="N", help="train images (default: 100)")
+    demo.add_argument("--test-views", type=int, default=20, metavar="N", help="test images (default: 20)")
+    demo.add_argument("--resolution", type=int, default=400, metavar="R", help="side in pixels (default: 400)")
+    commands.add_parser("list", help="name the demo scenes")
+    card = commands.add_parser("inspect", help="print what is in a scene, and what is unusual about it")
+    card.add_argument("folder", metavar="DIR", help="scene folder, or demo:NAME")
+    return parser
+
+
+if __name__ == "__main__":
+    main()

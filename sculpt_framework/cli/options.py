@@ -1,0 +1,232 @@
+"""The options of ``sculpt-train``, in two passes over the words of the command line.
+
+Which options exist depends on the components that are chosen. The first pass reads only what chooses components
+(``--field NAME``, ``--losses NAME NAME``, ``--viewer``) and puts their default configs into the method's config. The
+second pass hands tyro a type made for that config, with a group of options for each component in it.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import field, fields, is_dataclass, make_dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+
+from sculpt_framework import registry
+from sculpt_framework.config import ComponentConfig, MethodConfig
+from sculpt_framework.errors import ComponentImportError, ConfigError, UnknownComponentError
+from sculpt_framework.registry import SLOTS, Slot
+
+NONE = "none"
+VIEWER = "viser"
+RUN_OPTIONS = ("data", "output", "max_time", "device", "threads", "seed", "reference")
+METAVARS = {"data": "DIR|demo|demo:NAME", "output": "DIR", "max_time": "SECONDS", "threads": "N", "reference": "FILE"}
+
+
+def apply_words(config: MethodConfig, words: Sequence[str], program: str, description: str) -> MethodConfig:
+    """``config`` as the command line changes it.
+
+    ``program`` and ``description`` head the help text. Raises ConfigError for components, options and words that do
+    not exist. As tyro does: prints the help and exits with 0 for ``--help``; exits with 2 for values of a wrong type.
+    """
+    config, words = swap_components(config, words)
+    options, unknown = tyro.cli(
+        _options_type(config),
+        args=words,
+        prog=program,
+        description=description,
+        return_unknown_args=True,
+        config=(tyro.conf.HelptextFromCommentsOff,),  # docstrings alone are help
+    )
+    if unknown:
+        raise ConfigError(_explain_unknown(unknown[0], config))
+    return _config_of(options)
+
+
+def swap_components(config: MethodConfig, words: Sequence[str]) -> tuple[MethodConfig, list[str]]:
+    """The first pass: the config with the components the words choose, and the words that are left.
+
+    A component that is chosen again keeps the settings the method gave it.
+    """
+    rest: list[str] = []
+    swapped: set[str] = set()
+    viewer = False
+    position = 0
+    while position < len(words):
+        word = words[position]
+        position += 1
+        option, equals, value = word.partition("=")
+        slot = SLOTS.get(option.removeprefix("--")) if option.startswith("--") else None
+        if word == "--viewer":
+            viewer = True
+            continue
+        if slot is None:
+            rest.append(word)
+            continue
+        if slot.name in swapped:
+            raise ConfigError(f"{option} is given twice. Give it once{', with all names' if slot.many else ''}.")
+        swapped.add(slot.name)
+        chosen = [value] if equals else []
+        while position < len(words) and not words[position].startswith("-") and (slot.many or not chosen):
+            chosen.append(words[position])
+            position += 1
+        config = _choose(config, slot, chosen)
+    if viewer and VIEWER not in (registry.name_of(observer) for observer in config.observers):
+        config = replace(config, observers=(*config.observers, registry.default("observers", VIEWER)))
+    return config, rest
+
+
+def flags(config: MethodConfig) -> tuple[str, ...]:
+    """Every option there is for ``config``, in the order of the help, without the leading dashes."""
+    chosen = tuple(f"{slot}.{option}" for slot in SLOTS for option in _slot_flags(getattr(config, slot)))
+    trainer = tuple(f"trainer.{option}" for option in _flags_of(config.trainer))
+    general = tuple(name.replace("_", "-") for name in RUN_OPTIONS)
+    return (*general, "resume", "viewer", *SLOTS, *chosen, *trainer)
+
+
+def _choose(config: MethodConfig, slot: Slot, chosen: list[str]) -> MethodConfig:
+    available = ", ".join((*registry.names(slot.name), NONE) if slot.many else registry.names(slot.name))
+    if not chosen or "" in chosen:
+        raise ConfigError(f"--{slot.name} expects {'names' if slot.many else 'a name'}. Available: {available}.")
+    if slot.many and chosen == [NONE]:
+        return replace(config, **{slot.name: ()})
+    if slot.many and NONE in chosen:
+        raise ConfigError(f"--{slot.name} {' '.join(chosen)}: 'none' stands alone, for an empty list.")
+    present = getattr(config, slot.name) if slot.many else (getattr(config, slot.name),)
+    kept = {registry.name_of(component): component for component in present}
+    components: dict[str, ComponentConfig] = {}
+    for word in chosen:
+        try:
+            kind = registry.load(slot.name, word)
+        except UnknownComponentError as error:
+            raise UnknownComponentError(f"--{slot.name} {word}: {error}") from None
+        name = registry.spelled(word, registry.names(slot.name)) or word
+        if name in components:
+            raise ConfigError(f"--{slot.name} {' '.join(chosen)}: {name!r} is named twice.")
+        same = name in kept and type(kept[name]) is kind
+        components[name] = kept[name] if same else registry.default(slot.name, name)
+    value = tuple(components.values()) if slot.many else next(iter(components.values()))
+    return replace(config, **{slot.name: value})
+
+
+def _options_type(config: MethodConfig) -> type[MethodConfig]:
+    """MethodConfig with each slot's type narrowed to the components in ``config``, and the options that choose them.
+
+    A subclass, so that tyro finds the help of the general options at MethodConfig.
+    """
+    made: list[tuple[str, Any, Any]] = [("method", Annotated[str, tyro.conf.Suppress], config.method)]
+    for general in fields(MethodConfig):
+        if general.name in RUN_OPTIONS:
+            made.append((general.name, _general_option(general.name, general.type), getattr(config, general.name)))
+    resume = tyro.conf.arg(metavar="RUN_DIR", help="Go on with the run saved there.", help_behavior_hint="")
+    viewer = tyro.conf.arg(help="Short for adding the observer viser: watch in a browser.", help_behavior_hint="")
+    made.append(("resume", Annotated[Path | None, resume], None))
+    made.append(("viewer", Annotated[bool, tyro.conf.FlagCreatePairsOff, viewer], False))
+    for slot in SLOTS.values():
+        current = getattr(config, slot.name)
+        known = registry.names(slot.name)
+        if slot.many:
+            chosen = tuple(registry.name_of(component) for component in current)
+            text = f"The {slot.name}, by name; their options are below. {NONE}: leave all out."
+            option = tyro.conf.arg(name=slot.name, metavar=f"{{{','.join(known)}}} ... | {NONE}", help=text)
+            made.append((f"{slot.name}_chosen", Annotated[tuple[str, ...], option], chosen or (NONE,)))
+            parts = [
+                (f"part_{index}", Annotated[type(component), tyro.conf.arg(name=name)], component)
+                for index, (name, component) in enumerate(zip(chosen, current, strict=True))
+            ]
+            group = make_dataclass(slot.name, parts, frozen=True, kw_only=True)
+            made.append((slot.name, group, group()))
+        else:
+            option = tyro.conf.arg(name=slot.name, help=f"The {slot.one}, by name; its options are below.")
+            choice = Annotated[Literal[known], option]  # pyright: ignore[reportInvalidTypeForm]
+            made.append((f"{slot.name}_chosen", choice, registry.name_of(current)))
+            made.append((slot.name, type(current), current))
+    made.append(("trainer", type(config.trainer), config.trainer))
+    return make_dataclass(
+        "Options",
+        [(name, kind, field(default=default)) for name, kind, default in made],
+        bases=(MethodConfig,),
+        frozen=True,
+        kw_only=True,
+    )
+
+
+def _general_option(name: str, kind: Any) -> Any:
+    """``kind`` with how the option shows in the help: what None means is in the text, so it is not shown."""
+    if name == "data":
+        return Annotated[kind, tyro.conf.arg(metavar=METAVARS[name], help_behavior_hint="(required)")]
+    if name in METAVARS:
+        return Annotated[kind, tyro.conf.arg(metavar=METAVARS[name], help_behavior_hint="")]
+    return kind
+
+
+def _config_of(options: MethodConfig) -> MethodConfig:
+    values = {each.name: getattr(options, each.name) for each in fields(MethodConfig)}
+    for slot in SLOTS.values():
+        if slot.many:
+            group = values[slot.name]
+            values[slot.name] = tuple(getattr(group, part.name) for part in fields(group))
+    return MethodConfig(**values)
+
+
+def _slot_flags(value: ComponentConfig | tuple[ComponentConfig, ...]) -> Iterator[str]:
+    if isinstance(value, tuple):
+        for component in value:
+            yield from (f"{registry.name_of(component)}.{option}" for option in _flags_of(component))
+    else:
+        yield from _flags_of(value)
+
+
+def _flags_of(value: Any) -> Iterator[str]:
+    """Options of the fields of a dataclass, nested ones with a dot between, items of a tuple by their index."""
+    for each in fields(value):
+        name, inner = each.name.replace("_", "-"), getattr(value, each.name)
+        parts = inner if isinstance(inner, tuple) else (inner,)
+        if not any(is_dataclass(part) for part in parts):
+            yield name
+            continue
+        for index, part in enumerate(parts):
+            prefix = f"{name}.{index}" if isinstance(inner, tuple) else name
+            yield from (f"{prefix}.{option}" for option in _flags_of(part))
+
+
+def _explain_unknown(word: str, config: MethodConfig) -> str:
+    if not word.startswith("-"):
+        return f"{word!r} belongs to no option. Options start with two dashes; --help lists them."
+    option = word.partition("=")[0].removeprefix("--").replace("_", "-").replace(".no-", ".")
+    slot, _, rest = option.partition(".")
+    if slot in SLOTS and rest:
+        owner = _explain_absent(f"--{option}", SLOTS[slot], rest, config)
+        if owner:
+            return owner
+    near = registry.closest(option, flags(config))
+    hint = f" Did you mean --{near}?" if near else ""
+    return f"there is no option {word.partition('=')[0]}.{hint} --help lists them all."
+
+
+def _explain_absent(flag: str, slot: Slot, option: str, config: MethodConfig) -> str | None:
+    """Which flag to add, if ``option`` belongs to a component of ``slot`` that is not chosen."""
+    if slot.many:
+        name, _, option = option.partition(".")
+        chosen = tuple(registry.name_of(component) for component in getattr(config, slot.name))
+        if name in chosen or name not in registry.names(slot.name):
+            return None
+        return (
+            f"{flag} belongs to {slot.one} {name!r}, which this run does not use. "
+            f"Add --{slot.name} {' '.join((*chosen, name))}."
+        )
+    current = registry.name_of(getattr(config, slot.name))
+    owners = [name for name in registry.names(slot.name) if name != current and option in _default_flags(slot, name)]
+    if not owners:
+        return None
+    named = " and ".join(repr(name) for name in owners)
+    choices = " or ".join(f"--{slot.name} {name}" for name in owners)
+    return f"{flag} belongs to {slot.one} {named}, but this run uses {current!r}. Add {choices}."
+
+
+def _default_flags(slot: Slot, name: str) -> tuple[str, ...]:
+    """Options of a component, none if its package is broken: it was not asked for."""
+    try:
+        return tuple(_flags_of(registry.default(slot.name, name)))
+    except ComponentImportError:
+        return ()

@@ -1,0 +1,214 @@
+"""``sculpt-train``: from the command line to a run.
+
+Up to the start of training nothing here imports torch: help, mistakes in options and the number of threads, which the
+runtime libraries read when they are loaded, all come before.
+"""
+
+import inspect
+import os
+import sys
+import textwrap
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+
+from sculpt_framework import registry
+from sculpt_framework.cli import exit_codes
+from sculpt_framework.config import MethodConfig
+from sculpt_framework.engine.clock import process_start
+from sculpt_framework.engine.output import check_output
+from sculpt_framework.errors import CheckpointError, ConfigError, DeviceError, SculptError
+from sculpt_framework.serialization import read_config
+from sculpt_framework.validation import check
+
+PROGRAM = "sculpt-train"
+MAY_CHANGE_ON_RESUME = ("output", "max_time", "device", "threads", "reference", "observers")
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainRequest:
+    """What a command line asks for."""
+
+    config: MethodConfig
+    resume: Path | None = None
+    """Run directory to go on with; None: a new run."""
+
+
+def main() -> None:
+    """The console script ``sculpt-train``."""
+    exit_codes.run(train)
+
+
+def train() -> None:
+    """Parse, check, train. Raises SculptError."""
+    started = process_start()
+    request = read_request(sys.argv[1:])
+    if request.resume is None:
+        check_output(request.config)
+    limit_threads(request.config.threads)
+    check_device(request.config)
+
+    from sculpt_framework.engine.run import run
+
+    run(with_absolute_paths(request.config), resume=request.resume, started=started)
+
+
+def parse(words: Sequence[str]) -> MethodConfig:
+    """The config a command line stands for, as in ``parse(["gaussian-sculpting", "--data", "demo"])``.
+
+    Raises SculptError; exits as tyro does for ``--help`` and for values of a wrong type.
+    """
+    return read_request(words).config
+
+
+def read_request(words: Sequence[str]) -> TrainRequest:
+    """The run a command line asks for. Reads a file only for ``--resume``. Raises and exits as ``parse``."""
+    resume, words = _take_resume(words)
+    if resume is None and words and words[0] in ("-h", "--help"):
+        sys.stdout.write(overview())
+        sys.exit(0)
+    named = bool(words) and not words[0].startswith("-")
+    if not named and resume is None:
+        given = f"not with {words[0]}" if words else "as in sculpt-train gaussian-sculpting --data demo"
+        raise ConfigError(f"{PROGRAM} starts with a method, {given}. Methods: {', '.join(registry.method_names())}.")
+    if resume is None:
+        return TrainRequest(config=_new_run(words[0], words[1:]))
+    method = words[0] if named else None
+    return TrainRequest(config=_saved_run(resume, method, words[1:] if named else words), resume=resume)
+
+
+def overview() -> str:
+    """The text of ``sculpt-train --help``."""
+    width = max(len(name) for name in registry.method_names()) + 2
+    methods = "\n".join(f"  {name:{width}}{_first_line(name)}" for name in registry.method_names())
+    return OVERVIEW.format(methods=methods)
+
+
+OVERVIEW = """\
+usage: sculpt-train METHOD --data DIR|demo|demo:NAME [options]
+       sculpt-train --resume RUN_DIR [options]
+
+Posed images of one object in, a watertight mesh out.
+
+methods:
+{methods}
+
+options of every method:
+  --data DIR|demo|demo:NAME    the scene: a folder, or one that is built in
+  --output DIR                 where results go (default: outputs/SCENE/METHOD/TIME)
+  --max-time SECONDS           plan the run to end by then, mesh saved
+  --device auto|cpu|cuda  --threads N  --seed N  --reference MESH  --viewer
+  --SLOT NAME                  swap a component: {slots}
+  --SLOT.OPTION VALUE          set a component's option
+
+sculpt-train METHOD --help lists every component and every option, with defaults.
+""".replace("{slots}", f"\n{' ' * 31}".join(textwrap.wrap(", ".join(registry.SLOTS), width=60)))
+
+
+def limit_threads(threads: int | None) -> None:
+    """Tell the numerical libraries how many threads to use; they read it when they are first imported.
+
+    By default all cores this process may use, unless the environment says otherwise.
+    """
+    for variable in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
+        if threads is not None:
+            os.environ[variable] = str(threads)
+        else:
+            os.environ.setdefault(variable, os.environ.get("OMP_NUM_THREADS", str(_usable_cores())))
+
+
+def check_device(config: MethodConfig) -> None:
+    """Raise DeviceError if CUDA is asked for and absent."""
+    if config.device != "cuda":
+        return
+    import torch
+
+    if not torch.cuda.is_available():
+        raise DeviceError(
+            "--device cuda: torch finds no CUDA device here. Use --device cpu or auto, or install a torch with CUDA."
+        )
+
+
+def with_absolute_paths(config: MethodConfig) -> MethodConfig:
+    """The config with paths that hold wherever it is resumed from. Names of demo scenes stay what they are."""
+    is_path = config.data.partition(":")[0] != "demo" and os.path.exists(config.data)
+    data = os.path.abspath(config.data) if is_path else config.data
+    return replace(config, data=data, reference=config.reference.absolute() if config.reference else None)
+
+
+def _new_run(method: str, words: Sequence[str]) -> MethodConfig:
+    config, description = _make_config(method)
+    config = _edit(config, words, f"{PROGRAM} {config.method}", description)
+    if not config.data:
+        raise ConfigError("--data is missing: give a folder, as in --data DIR, or --data demo.")
+    return config
+
+
+def _saved_run(run_dir: Path, method: str | None, words: Sequence[str]) -> MethodConfig:
+    """The config of the run in ``run_dir``, with what may change on resuming changed."""
+    path = run_dir / "config.json"
+    if not path.is_file():
+        raise CheckpointError(f"--resume {run_dir}: there is no saved run ({path} does not exist).")
+    saved = read_config(path)
+    if method is not None and method != saved.method:
+        raise ConfigError(f"--resume {run_dir} is a run of {saved.method!r}, not of {method!r}. Leave the method out.")
+    config = _edit(replace(saved, output=None), words, f"{PROGRAM} --resume {run_dir}", "Go on with a saved run.")
+    if config.output is not None:
+        raise ConfigError("--output cannot be given with --resume: results go where the run is.")
+    for each in fields(MethodConfig):
+        if each.name not in MAY_CHANGE_ON_RESUME and getattr(config, each.name) != getattr(saved, each.name):
+            raise ConfigError(
+                f"--resume {run_dir}: {each.name} cannot be changed in a saved run. Start a new run for that."
+            )
+    return replace(config, output=run_dir)
+
+
+def _edit(config: MethodConfig, words: Sequence[str], program: str, description: str) -> MethodConfig:
+    # tyro takes 60 ms to import, which the overview does not need.
+    from sculpt_framework.cli.options import apply_words
+
+    config = apply_words(config, words, program, description)
+    check(config)
+    if config.reference is not None and not config.reference.is_file():
+        raise ConfigError(f"--reference {config.reference} is not a file. Give a mesh: .ply, .obj, .glb or .stl.")
+    return config
+
+
+def _make_config(method: str) -> tuple[MethodConfig, str]:
+    """The method's config and what its function says about it."""
+    make = registry.load_method(method)
+    config = make()
+    if not isinstance(config, MethodConfig):
+        raise ConfigError(f"method {method!r} returned {type(config).__name__}, not a MethodConfig.")
+    name = registry.spelled(method, registry.method_names()) or method
+    return replace(config, method=name), inspect.getdoc(make) or name
+
+
+def _first_line(method: str) -> str:
+    try:
+        return (inspect.getdoc(registry.load_method(method)) or "").partition("\n")[0]
+    except SculptError as error:
+        return f"(not available: {error.__cause__ or error})"
+
+
+def _take_resume(words: Sequence[str]) -> tuple[Path | None, list[str]]:
+    """``--resume RUN_DIR`` and the other words."""
+    rest, resume = list(words), None
+    for index, word in enumerate(rest):
+        option, equals, value = word.partition("=")
+        if option != "--resume":
+            continue
+        end = index + 1 if equals else index + 2
+        value = value if equals else next(iter(rest[index + 1 : end]), "")
+        if not value or value.startswith("--"):
+            raise ConfigError("--resume expects a run directory, as in --resume outputs/SCENE/METHOD/TIME.")
+        resume = Path(value)
+        del rest[index:end]
+        break
+    return resume, rest
+
+
+def _usable_cores() -> int:
+    if sys.platform == "linux":
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

@@ -1,0 +1,134 @@
+"""The demo objects. All lie in the unit ball around the origin, z is up.
+
+Each stands for something a reconstruction may fail on; ``summary`` says what. Edges are rounded, so that a surface
+normal exists everywhere.
+"""
+
+import difflib
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from sculpt_framework.demo_scenes.distance import (
+    Points,
+    Values,
+    box,
+    capsule,
+    disc,
+    ring,
+    smooth_difference,
+    smooth_union,
+    sphere,
+)
+from sculpt_framework.demo_scenes.texture import SolidTexture
+from sculpt_framework.errors import DataError
+
+DEFAULT = "blob"
+_COS, _SIN = float(np.cos(np.deg2rad(20))), float(np.sin(np.deg2rad(20)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class DemoObject:
+    name: str
+    summary: str
+    distance: Callable[[Points], Values]
+    """Lower bound of the distance in absolute value, Lipschitz constant 1, zero exactly on the surface."""
+    texture: SolidTexture
+    genus: int
+
+
+def blob(p: Points) -> Values:
+    body = smooth_union(sphere(p, (0.0, 0.0, -0.2), 0.58), sphere(p, (0.45, 0.12, 0.3), 0.36), 0.25)
+    body = smooth_union(body, sphere(p, (-0.42, 0.3, 0.25), 0.33), 0.2)
+    body = smooth_union(body, sphere(p, (-0.1, -0.55, -0.1), 0.32), 0.15)
+    body = smooth_difference(body, sphere(p, (-0.1, -0.15, 0.62), 0.38), 0.06)
+    return smooth_difference(body, sphere(p, (0.75, -0.35, -0.15), 0.33), 0.06)
+
+
+def dents(p: Points) -> Values:
+    """A ball with a dent on top and four around it, a little above the equator."""
+    body = smooth_difference(
+        sphere(p, (0.0, 0.0, 0.0), 0.95), capsule(p, (0.0, 0.0, 1.0), (0.0, 0.0, 0.68), 0.25), 0.06
+    )
+    # Turned by 20 degrees, so that nothing is aligned with the axes; then folded, so that the nearest of four is at +x.
+    x, y = np.abs(_COS * p[0] + _SIN * p[1]), np.abs(_COS * p[1] - _SIN * p[0])
+    folded = np.stack([np.maximum(x, y), np.minimum(x, y), p[2]])
+    return smooth_difference(body, capsule(folded, (0.96, 0.0, 0.28), (0.65, 0.0, 0.19), 0.25), 0.06)
+
+
+def thin(p: Points) -> Values:
+    plate = disc(p, (0.0, 0.0, -0.62), 0.72, 0.03, 0.029)
+    hoop = ring(p, (0.0, 0.0, 0.02), 1, 0.63, 0.045)
+    body = smooth_union(plate, hoop, 0.05)
+    body = smooth_union(body, capsule(p, (-0.5, -0.42, -0.62), (-0.5, -0.42, 0.35), 0.04), 0.04)
+    body = smooth_union(body, capsule(p, (-0.5, -0.42, 0.35), (0.5, -0.42, 0.35), 0.03), 0.04)
+    body = smooth_union(body, capsule(p, (0.5, -0.42, 0.35), (0.5, -0.42, -0.62), 0.04), 0.04)
+    return smooth_union(body, box(p, (0.0, 0.42, -0.3), (0.4, 0.025, 0.33), 0.024), 0.04)
+
+
+def double_torus(p: Points) -> Values:
+    left, right = (ring(p, (x, 0.0, 0.0), 1, 0.4, 0.17) for x in (-0.41, 0.41))
+    return smooth_union(left, right, 0.1)
+
+
+def gaps(p: Points) -> Values:
+    base = box(p, (0.0, 0.0, -0.5), (0.68, 0.48, 0.08), 0.04)
+    pitch = 0.3
+    # All five fins at once: the nearest one is found by folding space along x.
+    folded = p[0] - pitch * np.clip(np.round(p[0] / pitch), -2, 2)
+    fins = box(np.stack([folded, p[1], p[2]]), (0.0, 0.0, 0.0), (0.045, 0.46, 0.51), 0.04)
+    body = smooth_union(base, fins, 0.05)
+    return smooth_union(body, capsule(p, (-0.6, 0.0, 0.3), (0.6, 0.0, 0.3), 0.07), 0.04)
+
+
+OBJECTS = {
+    item.name: item
+    for item in (
+        DemoObject(
+            name="blob",
+            summary="easy: a smooth body with two shallow hollows",
+            distance=blob,
+            texture=SolidTexture(ground=(0.85, 0.55, 0.25), patches=(0.2, 0.45, 0.5), spots=(0.95, 0.9, 0.75), seed=11),
+            genus=0,
+        ),
+        DemoObject(
+            name="dents",
+            summary="five deep dents that no silhouette shows",
+            distance=dents,
+            texture=SolidTexture(ground=(0.75, 0.3, 0.3), patches=(0.85, 0.75, 0.45), spots=(0.2, 0.25, 0.45), seed=21),
+            genus=0,
+        ),
+        DemoObject(
+            name="thin",
+            summary="a plate, a hoop, rods and a sheet of 5 to 9 hundredths thickness",
+            distance=thin,
+            texture=SolidTexture(ground=(0.35, 0.6, 0.35), patches=(0.8, 0.8, 0.7), spots=(0.7, 0.25, 0.2), seed=31),
+            genus=2,
+        ),
+        DemoObject(
+            name="double-torus",
+            summary="genus 2: two rings grown together",
+            distance=double_torus,
+            texture=SolidTexture(ground=(0.3, 0.4, 0.7), patches=(0.85, 0.6, 0.65), spots=(0.95, 0.9, 0.5), seed=41),
+            genus=2,
+        ),
+        DemoObject(
+            name="gaps",
+            summary="five fins with deep gaps between them, held by a rod",
+            distance=gaps,
+            texture=SolidTexture(ground=(0.6, 0.5, 0.75), patches=(0.9, 0.8, 0.5), spots=(0.2, 0.4, 0.4), seed=51),
+            genus=4,
+        ),
+    )
+}
+
+
+def demo_object(name: str) -> DemoObject:
+    """Raises DataError, with the names there are, if there is no such object."""
+    plain = name.lower().replace("_", "-")
+    if plain in OBJECTS:
+        return OBJECTS[plain]
+    close = difflib.get_close_matches(plain, OBJECTS, n=1)
+    hint = f"; did you mean {close[0]}?" if close else "."
+    raise DataError(f"no demo scene is called '{name}'; there are {', '.join(OBJECTS)}{hint}")

@@ -1,0 +1,90 @@
+"""Features on a pyramid of grids, fine ones hashed into tables (Müller et al. 2022)."""
+
+import torch
+from jaxtyping import Float, Int64
+from torch import Tensor, nn
+
+PRIMES = (1, 2654435761, 805459861)
+"""Factors of a corner's indices in the hash, of which the low bits count."""
+
+
+class HashEncoding(nn.Module):
+    """Trilinear features of points in [-1, 1]^3 on several grids; points outside are taken at the nearest wall.
+
+    Grid sizes grow geometrically from ``base_resolution`` to ``finest_resolution`` cells across. A grid whose corners
+    fit a table of 2^log2_table entries is stored corner by corner, without collisions. Tables start uniformly random
+    within ``init_scale`` of zero. Each level is a parameter of its own: an inactive one gets no gradient, so that an
+    optimiser spends nothing on it either.
+    """
+
+    def __init__(
+        self,
+        *,
+        levels: int,
+        features_per_level: int,
+        log2_table: int,
+        base_resolution: int,
+        finest_resolution: int,
+        init_scale: float,
+    ):
+        super().__init__()
+        if not (levels >= 1 and features_per_level >= 1 and 1 <= log2_table <= 31):
+            raise ValueError(
+                f"hash grid with {levels} levels of {features_per_level} features in tables of 2^{log2_table} entries: "
+                "at least one level and feature, and tables of 2^1 to 2^31"
+            )
+        if not 1 <= base_resolution <= finest_resolution:
+            raise ValueError(
+                f"hash grid from {base_resolution} to {finest_resolution} cells: from 1 upwards, coarsest first"
+            )
+        growth = (finest_resolution / base_resolution) ** (1.0 / max(levels - 1, 1))
+        self.resolutions = tuple(round(base_resolution * growth**level) for level in range(levels))
+        """Cells across [-1, 1], coarsest first."""
+        self.features_per_level = features_per_level
+        sizes = [min((resolution + 1) ** 3, 2**log2_table) for resolution in self.resolutions]
+        self.tables = nn.ParameterList(
+            nn.Parameter(torch.empty(size, features_per_level).uniform_(-init_scale, init_scale)) for size in sizes
+        )
+
+    def forward(self, points: Float[Tensor, "n 3"], active_levels: int | None = None) -> Float[Tensor, "n c"]:
+        """Features of all levels, coarsest first; those beyond ``active_levels`` are 0 and cost nothing."""
+        active = len(self.resolutions) if active_levels is None else active_levels
+        if not 0 <= active <= len(self.resolutions):
+            raise ValueError(f"{active} active levels of a hash grid that has {len(self.resolutions)}")
+        encoded = encode_in_torch(points, list(self.tables)[:active], self.resolutions[:active])
+        idle = (len(self.resolutions) - active) * self.features_per_level
+        return torch.cat([encoded, encoded.new_zeros(points.shape[0], idle)], dim=1) if idle else encoded
+
+
+def encode_in_torch(
+    points: Float[Tensor, "n 3"], tables: list[Tensor], resolutions: tuple[int, ...]
+) -> Float[Tensor, "n c"]:
+    """The encoding in plain torch: any device and floating-point type."""
+    if not tables:
+        return points.new_zeros(points.shape[0], 0)
+    inside = 0.5 * (points.clamp(-1.0, 1.0) + 1.0)
+    levels = [_level(inside * resolution, table, resolution) for table, resolution in zip(tables, resolutions, strict=True)]
+    return torch.cat(levels, dim=1)
+
+
+def _level(position: Float[Tensor, "n 3"], table: Float[Tensor, "e c"], resolution: int) -> Float[Tensor, "n c"]:
+    """Trilinear interpolation at ``position`` in cells."""
+    # A point on the upper wall belongs to the last cell. Clamped as an integer, because a NaN becomes any number.
+    cell = position.detach().floor().long().clamp(0, resolution - 1)
+    upper = position - cell
+    lower = 1.0 - upper
+    total = 0.0
+    for corner in range(8):
+        bits = torch.tensor([corner & 1, corner >> 1 & 1, corner >> 2], device=position.device)
+        weight = torch.where(bits == 1, upper, lower).prod(dim=1, keepdim=True)
+        total = total + weight * table[corner_entries(cell + bits, resolution, table.shape[0])]
+    return total
+
+
+def corner_entries(corner: Int64[Tensor, "n 3"], resolution: int, entries: int) -> Int64[Tensor, " n"]:
+    """Where a grid corner's features are: in reading order if all corners fit the table, else by hash."""
+    x, y, z = corner.unbind(dim=1)
+    side = resolution + 1
+    if side**3 <= entries:
+        return (z * side + y) * side + x
+    return (x * PRIMES[0] ^ y * PRIMES[1] ^ z * PRIMES[2]) & (entries - 1)

@@ -1,0 +1,100 @@
+"""From a config to the components it names."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+
+from sculpt_framework.config import MethodConfig
+from sculpt_framework.engine.gaussian_scene import GaussianScene
+from sculpt_framework.engine.trainer import BiLevelTrainer, Objectives, Weighted
+from sculpt_framework.errors import ConfigError, DeviceError
+from sculpt_framework.geometry.grid import Grid, grid_over_box
+from sculpt_framework.losses import GeometryLoss, ImageLoss
+from sculpt_framework.rasterizers import Rasterizer
+from sculpt_framework.registry import name_of
+from sculpt_framework.types import Box
+
+PHOTOMETRIC, SILHOUETTE = "photometric", "silhouette"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Parts:
+    """The components of a run, wired up."""
+
+    device: torch.device
+    grid: Grid
+    """At level 0; stages say which level they work on."""
+    rasterizer: Rasterizer
+    trainer: BiLevelTrainer
+
+
+def pick_device(wanted: str) -> torch.device:
+    """Raises DeviceError if CUDA is asked for and absent."""
+    available = torch.cuda.is_available()
+    if wanted == "cuda" and not available:
+        raise DeviceError("--device cuda was asked for, but torch sees no CUDA device here; use --device cpu or auto")
+    return torch.device("cuda" if available and wanted != "cpu" else "cpu")
+
+
+def build_parts(config: MethodConfig, box: Box, generator: torch.Generator) -> Parts:
+    """Build every component. Parameters are drawn from torch's own generator, seeded here with the run's seed."""
+    device = pick_device(config.device)
+    trainer = config.trainer
+    if not trainer.stages:
+        raise ConfigError("the method has no stages; --trainer.stages needs at least one")
+    torch.manual_seed(config.seed)
+    grid = grid_over_box(box.half_sides, trainer.base_cells)
+    field = config.field.build(device)
+    rasterizer = config.rasterizer.build(device)
+    scene = GaussianScene(config.binder.build(), config.appearance.build(device), warm_start=trainer.warm_start)
+    return Parts(
+        device=device,
+        grid=grid,
+        rasterizer=rasterizer,
+        trainer=BiLevelTrainer(
+            field=field,
+            extractor=config.extractor.build(grid.at_level(trainer.stages[0].level), device),
+            scene=scene,
+            rasterizer=rasterizer,
+            objectives=build_objectives(config),
+            config=trainer,
+            generator=generator,
+        ),
+    )
+
+
+def build_objectives(config: MethodConfig) -> Objectives:
+    """Sort the configured terms by what they look at.
+
+    The inner loop needs a photometric term and the outer one something that sees images: ConfigError otherwise.
+    """
+    images: list[Weighted[ImageLoss]] = []
+    geometry: list[Weighted[GeometryLoss]] = []
+    for loss in config.losses:
+        term, name = loss.build(), name_of(loss)
+        if isinstance(term, ImageLoss):
+            images.append(Weighted(name=name, weight=loss.weight, term=term))
+        else:
+            geometry.append(Weighted(name=name, weight=loss.weight, term=term))
+    colours = [objective.term for objective in images if objective.name != SILHOUETTE]
+    silhouettes = [objective for objective in images if objective.name == SILHOUETTE]
+    if not colours:
+        raise ConfigError(f"--losses names no term that compares colours; add {PHOTOMETRIC}")
+    if not silhouettes and any(stage.silhouette_only for stage in config.trainer.stages):
+        raise ConfigError(f"the method has a silhouette stage but no {SILHOUETTE} loss; add it to --losses")
+    return Objectives(
+        photometric=colours[0],
+        images=images,
+        silhouettes=silhouettes,
+        geometry=geometry,
+        constraints=[Weighted(name=name_of(c), weight=c.weight, term=c.build()) for c in config.constraints],
+    )
+
+
+def split_views(count: int, every: int) -> tuple[Sequence[int], Sequence[int]]:
+    """Indices to train on and to hold out: one of every ``every``, from the middle of each run of that length."""
+    if every <= 1 or count < every:
+        return range(count), ()
+    held = set(range(every // 2, count, every))
+    return [index for index in range(count) if index not in held], sorted(held)

@@ -1,0 +1,58 @@
+"""Training seconds: what the optimisation alone takes, with everything else left out."""
+
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+
+def process_start() -> float:
+    """``time.monotonic()`` at the start of this process, so that wall time includes the imports."""
+    try:
+        with open("/proc/self/stat", encoding="ascii") as stat:
+            ticks = float(stat.read().rsplit(")", 1)[1].split()[19])
+        with open("/proc/uptime", encoding="ascii") as uptime:
+            age = float(uptime.read().split()[0]) - ticks / os.sysconf("SC_CLK_TCK")
+    except (OSError, ValueError, IndexError):
+        return time.monotonic()  # no /proc on this system: count from here
+    return time.monotonic() - max(0.0, age)
+
+
+class TrainingClock:
+    """Counts training seconds while running; ``pause`` leaves a stretch out. Wall seconds count from ``started``."""
+
+    def __init__(self, started: float, trained: float = 0.0):
+        self._started = started
+        self._trained = trained
+        self._since: float | None = None
+
+    def start(self) -> None:
+        if self._since is None:
+            self._since = time.monotonic()
+
+    def stop(self) -> None:
+        if self._since is not None:
+            self._trained += time.monotonic() - self._since
+            self._since = None
+
+    @contextmanager
+    def pause(self) -> Iterator[None]:
+        running = self._since is not None
+        self.stop()
+        try:
+            yield
+        finally:
+            if running:
+                self.start()
+
+    @property
+    def train_seconds(self) -> float:
+        return self._trained + (0.0 if self._since is None else time.monotonic() - self._since)
+
+    @property
+    def wall_seconds(self) -> float:
+        return time.monotonic() - self._started
+
+    @property
+    def cpu_seconds(self) -> float:
+        return time.process_time()

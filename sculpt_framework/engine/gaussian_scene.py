@@ -1,0 +1,133 @@
+"""The Gaussians of the current surface: rows that follow its faces, and what they look like when bound to it."""
+
+from collections.abc import Mapping, Sequence
+
+import torch
+from jaxtyping import Float, Int64
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from sculpt_framework.appearances import Appearance, bands
+from sculpt_framework.binders import Binder, Binding, owning_faces
+from sculpt_framework.geometry.grid import unpack_ijk
+from sculpt_framework.keyed import KeyedTable
+from sculpt_framework.types import Gaussians, Surface
+
+
+class GaussianScene:
+    """Owns the inner variables: the binder's and the appearance's rows under face keys, and the appearance's own
+    parameters. Knows nothing of fields or extractors; a surface comes in, Gaussians come out."""
+
+    def __init__(self, binder: Binder, appearance: Appearance, *, warm_start: bool):
+        self.binder = binder
+        self.appearance = appearance
+        self.geometry_rows = KeyedTable(binder.learning_rates)
+        self.appearance_rows = KeyedTable(appearance.learning_rates)
+        groups = appearance.optimizer_groups()
+        self.shared_optimizer = torch.optim.Adam(groups, eps=1e-15, fused=True) if groups else None
+        self.shared_rates = [group["lr"] for group in groups]
+        self._warm_start = warm_start
+        self._centroids: Float[Tensor, "f 3"] | None = None
+
+    def follow(self, surface: Surface) -> None:
+        """Carry the rows over to this surface's faces; a cold start forgets them first."""
+        surface = surface.detach()
+        corners = surface.vertices[surface.faces]
+        keys = surface.face_keys
+        count, device, dtype = len(keys), corners.device, corners.dtype
+        if not self._warm_start:
+            self.geometry_rows = KeyedTable(self.binder.learning_rates)
+            self.appearance_rows = KeyedTable(self.appearance.learning_rates)
+            self._centroids = None
+        self.geometry_rows.rekey(keys, self.binder.new_rows(count, device, dtype))
+        centroids = corners.mean(dim=1)
+        k = self.binder.gaussians_per_face
+        new_rows = self.appearance.new_rows(centroids[:, None].expand(count, k, 3))
+        if self.appearance.inherits_rows and self._centroids is not None:
+            _, known = self.appearance_rows.locate(keys)
+            fresh = (~known).nonzero()[:, 0]
+            if len(fresh) > 0:
+                lender = _nearest_faces(self.appearance_rows.keys, self._centroids, keys[fresh], centroids[fresh])
+                for name, rows in new_rows.items():
+                    rows[fresh] = self.appearance_rows.leaves[name].detach()[lender]
+        self.appearance_rows.rekey(keys, new_rows)
+        self._centroids = centroids
+
+    def bind(self, surface: Surface, *, learn: bool) -> Binding:
+        """Gaussians without colour; ``learn`` lets gradients reach the binder's rows."""
+        rows = self.geometry_rows.leaves
+        return self.binder.bind(surface, rows if learn else {name: leaf.detach() for name, leaf in rows.items()})
+
+    def harmonics(self, means: Float[Tensor, "f k 3"], *, degree: int, learn: bool) -> Float[Tensor, "f k b 3"]:
+        """Coefficients up to ``degree``; ``learn`` lets gradients reach rows and shared parameters."""
+        with torch.set_grad_enabled(learn):
+            sh = self.appearance(means.detach(), self.appearance_rows.leaves)
+            return sh[:, :, : bands(min(degree, self.appearance.sh_degree))]
+
+    def zero_grad(self) -> None:
+        self.geometry_rows.zero_grad()
+        self.appearance_rows.zero_grad()
+        if self.shared_optimizer is not None:
+            self.shared_optimizer.zero_grad()
+
+    def state(self) -> dict[str, Tensor]:
+        """Rows and what is needed to carry them on, for a checkpoint; the appearance's own parameters excluded."""
+        out = {f"geometry.{name}": value for name, value in self.geometry_rows.state().items()}
+        out |= {f"appearance.{name}": value for name, value in self.appearance_rows.state().items()}
+        if self._centroids is not None:
+            out["centroids"] = self._centroids
+        return out
+
+    def load_state(self, state: Mapping[str, Tensor]) -> None:
+        """Inverse of ``state``. Raises KeyError where an entry is missing."""
+        for prefix, table in (("geometry.", self.geometry_rows), ("appearance.", self.appearance_rows)):
+            table.load_state({name[len(prefix) :]: value for name, value in state.items() if name.startswith(prefix)})
+        self._centroids = state["centroids"].clone() if "centroids" in state else None
+
+    def step(self, rate_factor: float) -> None:
+        """One optimiser step on whatever has a gradient."""
+        self.geometry_rows.step(rate_factor)
+        self.appearance_rows.step(rate_factor)
+        if self.shared_optimizer is not None:
+            for group, rate in zip(self.shared_optimizer.param_groups, self.shared_rates, strict=True):
+                group["lr"] = rate * rate_factor
+            self.shared_optimizer.step()
+
+
+def assemble(binding: Binding, sh: Float[Tensor, "f k b 3"]) -> Gaussians:
+    """Flatten faces times K to Gaussians."""
+    faces, k = binding.opacities.shape
+    return Gaussians(
+        means=binding.means.flatten(0, 1),
+        scales=binding.scales.flatten(0, 1),
+        rotations=binding.rotations.flatten(0, 1),
+        opacities=binding.opacities.flatten(),
+        sh=sh.flatten(0, 1),
+        face=owning_faces(faces, k, binding.means.device),
+    )
+
+
+def _nearest_faces(
+    old_keys: Int64[Tensor, " m"],
+    old_centroids: Float[Tensor, "m 3"],
+    keys: Int64[Tensor, " n"],
+    centroids: Float[Tensor, "n 3"],
+) -> Int64[Tensor, " n"]:
+    """Row of an old face near each new one.
+
+    Keys sort by place, so the neighbour in key order usually lies in the same or the next cell along z; only where it
+    does not is a search over all old faces worth its cost.
+    """
+    ordered, order = old_keys.sort()
+    slot = torch.searchsorted(ordered, keys).clamp_(max=len(ordered) - 1)
+    below = (slot - 1).clamp_(min=0)
+    candidates: Sequence[Tensor] = (order[slot], order[below])
+    distances = torch.stack([(old_centroids[c] - centroids).square().sum(dim=1) for c in candidates])
+    lender = torch.where(distances[0] <= distances[1], candidates[0], candidates[1])
+    apart = (unpack_ijk(old_keys[lender]) - unpack_ijk(keys)).abs().amax(dim=1) > 1
+    same_level = ordered[0] >> 55 == keys[0] >> 55
+    far = apart if bool(same_level) else torch.ones_like(apart)
+    if bool(far.any()):
+        _, found = cKDTree(old_centroids.cpu().numpy()).query(centroids[far].cpu().numpy())
+        lender[far] = torch.from_numpy(found).to(lender)
+    return lender

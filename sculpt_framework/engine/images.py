@@ -1,0 +1,93 @@
+"""Training images of a stage: cropped to the object, scaled, in the object frame."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from sculpt_framework.losses import Target
+from sculpt_framework.types import Box, Camera, View
+
+_MARGIN_SHARE = 0.06
+"""Border kept around the object's box in an image, as a share of the box's longer side: room for the surface to be
+wrong in and still be seen."""
+_MARGIN_PIXELS = 6
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TrainingImage:
+    name: str
+    camera: Camera
+    """In the object frame."""
+    premultiplied: Float[Tensor, "h w 3"]
+    """Colour times alpha; plain colour where there is no mask."""
+    alpha: Float[Tensor, "h w"] | None
+
+    def over(self, background: Float[Tensor, " 3"]) -> Target:
+        """What a rendering over this background should look like."""
+        if self.alpha is None:
+            return Target(rgb=self.premultiplied, alpha=None)
+        return Target(rgb=self.premultiplied + (1 - self.alpha)[..., None] * background, alpha=self.alpha)
+
+
+def prepare_image(view: View, box: Box, scale: float, device: torch.device, *, crop: bool = True) -> TrainingImage:
+    """One view of a stage. ``scale`` is the image side relative to the input, at most 1."""
+    camera = box.camera_to_object(view.camera)
+    rgb = view.rgb if view.alpha is None else view.rgb * view.alpha[..., None]
+    alpha = view.alpha
+    if crop:
+        x0, y0, x1, y1 = _object_window(view, camera, box)
+        camera = camera.crop(x0, y0, x1 - x0, y1 - y0)
+        rgb = rgb[y0:y1, x0:x1]
+        alpha = None if alpha is None else alpha[y0:y1, x0:x1]
+    if scale < 1.0:
+        width, height = max(1, round(camera.width * scale)), max(1, round(camera.height * scale))
+        camera = camera.resized(width, height)
+        rgb = _shrink(rgb, width, height)
+        alpha = None if alpha is None else _shrink(alpha, width, height)
+    return TrainingImage(
+        name=view.name,
+        camera=camera.to(device, torch.float32),
+        premultiplied=rgb.to(device, torch.float32).contiguous(),
+        alpha=None if alpha is None else alpha.to(device, torch.float32).contiguous(),
+    )
+
+
+def prepare_images(views: Sequence[View], box: Box, scale: float, device: torch.device) -> list[TrainingImage]:
+    return [prepare_image(view, box, scale, device) for view in views]
+
+
+def _shrink(image: Float[Tensor, "h w *c"], width: int, height: int) -> Float[Tensor, "h2 w2 *c"]:
+    """Mean over the area of each new pixel."""
+    return torch.from_numpy(cv2.resize(image.numpy(), (width, height), interpolation=cv2.INTER_AREA))
+
+
+def _object_window(view: View, camera: Camera, box: Box) -> tuple[int, int, int, int]:
+    """Columns and rows [x0, x1) x [y0, y1) that hold the object, with a margin; the whole image if nothing is known."""
+    low, high = np.zeros(2), np.array([camera.width, camera.height], dtype=float)
+    if view.alpha is not None:
+        rows, columns = np.nonzero(view.alpha.numpy() > 0.0)
+        if len(rows) == 0:
+            return 0, 0, camera.width, camera.height
+        first = np.array([columns.min(), rows.min()], dtype=float)
+        last = np.array([columns.max() + 1, rows.max() + 1], dtype=float)
+    else:
+        signs = torch.tensor([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=torch.float64)
+        corners = signs * box.half_sides.double()
+        pose = camera.world_to_camera.double()
+        local = corners @ pose[:3, :3].T + pose[:3, 3]
+        if bool((local[:, 2] <= 1e-3).any()):
+            return 0, 0, camera.width, camera.height
+        pixels = local[:, :2] / local[:, 2:] * torch.tensor([camera.fx, camera.fy], dtype=torch.float64)
+        pixels = (pixels + torch.tensor([camera.cx, camera.cy], dtype=torch.float64)).numpy()
+        first, last = pixels.min(axis=0), pixels.max(axis=0)
+    margin = max(_MARGIN_PIXELS, _MARGIN_SHARE * float((last - first).max()))
+    x0, y0 = np.floor(np.maximum(first - margin, low)).astype(int)
+    x1, y1 = np.ceil(np.minimum(last + margin, high)).astype(int)
+    if x1 - x0 < 1 or y1 - y0 < 1:
+        return 0, 0, camera.width, camera.height
+    return int(x0), int(y0), int(x1), int(y1)

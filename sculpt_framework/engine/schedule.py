@@ -1,0 +1,58 @@
+"""Where a run stands: progress from 0 to 1, the stage it is in, and what follows from that."""
+
+import time
+from collections.abc import Sequence
+
+from sculpt_framework.config import StageConfig, TrainerConfig
+
+
+class Schedule:
+    """Progress by outer steps, or, if a deadline is given, by the clock.
+
+    With a deadline the number of steps follows from the machine's speed, so runs are not repeatable bit by bit; without
+    one they are.
+    """
+
+    def __init__(self, config: TrainerConfig, deadline: float | None):
+        """``deadline`` is a ``time.monotonic()`` instant at which optimisation has to end."""
+        shares = [stage.share for stage in config.stages]
+        if not shares or min(shares) <= 0:
+            raise ValueError("a schedule needs stages with positive shares")
+        total = sum(shares)
+        self._ends = [sum(shares[: index + 1]) / total for index in range(len(shares))]
+        self._stages: Sequence[StageConfig] = config.stages
+        self._steps = config.outer_steps
+        self._final_rate = config.final_rate
+        self._deadline = deadline
+        self._began: float | None = None
+        self._elapsed_before = 0.0
+
+    @property
+    def total_steps(self) -> int | None:
+        return None if self._deadline is not None else self._steps
+
+    def begin(self) -> None:
+        """Optimisation starts now."""
+        self._began = time.monotonic()
+
+    def progress(self, outer: int) -> float:
+        """Share of the run that is done after ``outer`` outer steps, at most 1."""
+        if self._deadline is None:
+            return min(1.0, outer / max(1, self._steps))
+        if self._began is None:
+            return 0.0
+        span = self._deadline - self._began
+        return 1.0 if span <= 0 else min(1.0, (time.monotonic() - self._began) / span)
+
+    def stage_index(self, progress: float) -> int:
+        for index, end in enumerate(self._ends):
+            if progress < end - 1e-9:
+                return index
+        return len(self._ends) - 1
+
+    def stage(self, progress: float) -> StageConfig:
+        return self._stages[self.stage_index(progress)]
+
+    def rate_factor(self, progress: float) -> float:
+        """Learning rates fall exponentially to ``final_rate``."""
+        return self._final_rate**progress

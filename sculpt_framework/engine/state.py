@@ -1,0 +1,83 @@
+"""The whole state of the optimisation as named tensors: for checkpoints, for keeping the best, for recovery."""
+
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor, nn
+
+from sculpt_framework.engine.trainer import BiLevelTrainer
+
+
+def capture(trainer: BiLevelTrainer, level: int, generator: torch.Generator) -> dict[str, Tensor]:
+    """Copies of everything the next step depends on."""
+    if trainer.seeds is None:
+        raise ValueError("nothing to capture before the first surface")
+    state: dict[str, Tensor] = {
+        "level": torch.tensor(level),
+        "seeds": trainer.seeds,
+        "random": generator.get_state(),
+        "view_order": torch.tensor(trainer.view_order, dtype=torch.int64),
+        "inner_total": torch.tensor(trainer.inner_total),
+    }
+    _put(state, "field", trainer.field.state_dict())
+    _put(state, "field_optimizer", optimizer_state(trainer.optimizer))
+    _put(state, "appearance", trainer.scene.appearance.state_dict())
+    if trainer.scene.shared_optimizer is not None:
+        _put(state, "appearance_optimizer", optimizer_state(trainer.scene.shared_optimizer))
+    for name, table in trainer.extractor.tables.items():
+        _put(state, f"extractor.{name}", table.state())
+    _put(state, "scene", trainer.scene.state())
+    return {name: tensor.detach().clone().contiguous() for name, tensor in state.items()}
+
+
+def restore(trainer: BiLevelTrainer, generator: torch.Generator, state: Mapping[str, Tensor]) -> None:
+    """Inverse of ``capture``; the extractor must already be on the captured level. Raises KeyError if state lacks."""
+    trainer.seeds = state["seeds"].clone()
+    trainer.view_order = state["view_order"].tolist()
+    trainer.inner_total = int(state["inner_total"])
+    generator.set_state(state["random"].clone())
+    _load_module(trainer.field, _get(state, "field"))
+    load_optimizer_state(trainer.optimizer, _get(state, "field_optimizer"))
+    _load_module(trainer.scene.appearance, _get(state, "appearance"))
+    if trainer.scene.shared_optimizer is not None:
+        load_optimizer_state(trainer.scene.shared_optimizer, _get(state, "appearance_optimizer"))
+    for name, table in trainer.extractor.tables.items():
+        table.load_state(_get(state, f"extractor.{name}"))
+    trainer.scene.load_state(_get(state, "scene"))
+
+
+def optimizer_state(optimizer: torch.optim.Optimizer) -> dict[str, Tensor]:
+    """Moments and step counts of Adam by the position of their parameter."""
+    out: dict[str, Tensor] = {}
+    for index, parameter in enumerate(_parameters(optimizer)):
+        for name, value in optimizer.state.get(parameter, {}).items():
+            out[f"{index}.{name}"] = torch.as_tensor(value)
+    return out
+
+
+def load_optimizer_state(optimizer: torch.optim.Optimizer, state: Mapping[str, Tensor]) -> None:
+    for index, parameter in enumerate(_parameters(optimizer)):
+        entries = {
+            name.partition(".")[2]: value.clone() for name, value in state.items() if name.partition(".")[0] == str(index)
+        }
+        if entries:
+            optimizer.state[parameter] = entries
+        else:
+            optimizer.state.pop(parameter, None)
+
+
+def _parameters(optimizer: torch.optim.Optimizer) -> list[nn.Parameter]:
+    return [parameter for group in optimizer.param_groups for parameter in group["params"]]
+
+
+def _load_module(module: nn.Module, state: Mapping[str, Tensor]) -> None:
+    module.load_state_dict(dict(state))
+
+
+def _put(state: dict[str, Tensor], prefix: str, entries: Mapping[str, Tensor]) -> None:
+    for name, value in entries.items():
+        state[f"{prefix}/{name}"] = value
+
+
+def _get(state: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
+    return {name[len(prefix) + 1 :]: value for name, value in state.items() if name.startswith(f"{prefix}/")}

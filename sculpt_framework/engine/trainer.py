@@ -1,0 +1,258 @@
+"""The bi-level loop (paper, 3.3): surfaces outside, Gaussians inside.
+
+    outer step   extract the surface with gradient, let the Gaussians follow its faces
+      inner loop   optimise a detached copy of the Gaussians on colours and constraints, the surface held fixed
+      copy back    the optimised values meet the connected surface again
+    render it, and carry the images' gradient through Gaussians and faces into field and extractor
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+import torch
+from jaxtyping import Float, Int64
+from torch import Tensor
+
+from sculpt_framework.binders import Binding
+from sculpt_framework.config import StageConfig, TrainerConfig
+from sculpt_framework.constraints import Constraint
+from sculpt_framework.engine.gaussian_scene import GaussianScene, assemble
+from sculpt_framework.engine.images import TrainingImage
+from sculpt_framework.extractors import Extraction, Extractor
+from sculpt_framework.fields import Field
+from sculpt_framework.losses import GeometryLoss, ImageLoss
+from sculpt_framework.rasterizers import Rasterizer
+from sculpt_framework.types import Gaussians, Rendering, Surface
+
+
+Term = TypeVar("Term")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Weighted(Generic[Term]):
+    """A term of an objective under the name and with the weight of its config."""
+
+    name: str
+    weight: float
+    term: Term
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Objectives:
+    photometric: ImageLoss
+    """The inner loop's image term."""
+    images: Sequence[Weighted[ImageLoss]]
+    silhouettes: Sequence[Weighted[ImageLoss]]
+    """The image terms of a silhouette stage."""
+    geometry: Sequence[Weighted[GeometryLoss]]
+    constraints: Sequence[Weighted[Constraint]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class StepReport:
+    """What one outer step did."""
+
+    loss: float
+    """The outer objective, mean over its views."""
+    terms: dict[str, float]
+    inner_loss: float | None
+    faces: int
+    gaussians: int
+
+
+class BiLevelTrainer:
+    """Runs outer steps. Owns the optimisers; what stage it is and when to stop is told from outside."""
+
+    def __init__(
+        self,
+        *,
+        field: Field,
+        extractor: Extractor,
+        scene: GaussianScene,
+        rasterizer: Rasterizer,
+        objectives: Objectives,
+        config: TrainerConfig,
+        generator: torch.Generator,
+    ):
+        self.field = field
+        self.extractor = extractor
+        self.scene = scene
+        self.optimizer = torch.optim.Adam(field.optimizer_groups(), betas=(0.9, 0.99), eps=1e-15, fused=True)
+        self.seeds: Int64[Tensor, " s"] | None = None
+        """Cells the surface was in after the latest extraction."""
+        self.extraction: Extraction | None = None
+        self.inner_total = 0
+        self._field_rates = [group["lr"] for group in self.optimizer.param_groups]
+        self._rasterizer = rasterizer
+        self._objectives = objectives
+        self._config = config
+        self._generator = generator
+        self.view_order: list[int] = []
+        """Views still to come before the next shuffle."""
+
+    # -- the two levels ------------------------------------------------------------------------------------------
+
+    def outer_step(self, images: Sequence[TrainingImage], stage: StageConfig, rate_factor: float) -> StepReport:
+        """One step of the surface, with the inner loop before it.
+
+        Raises FloatingPointError if the objective or its gradient is not finite; nothing has been updated then but the
+        inner variables.
+        """
+        extraction = self.extract()
+        surface = extraction.surface
+        self.scene.follow(surface)
+        inner_loss = None
+        if self._config.gradient_isolation and not stage.silhouette_only:
+            inner_loss = self.inner_loop(surface.detach(), images, stage.inner_steps, rate_factor)
+        views = stage.outer_views if self._config.gradient_isolation else stage.outer_views + stage.inner_steps
+        binding = self.scene.bind(surface, learn=not self._config.gradient_isolation)
+        self._zero_grad()
+        roots, gradients, terms = self._image_gradients(binding, images, stage, views)
+        for objective in self._objectives.geometry:
+            term = objective.weight * objective.term(extraction)
+            terms[objective.name] = float(term.detach())
+            if term.requires_grad:
+                roots.append(term)
+                gradients.append(torch.ones_like(term))
+        loss = sum(terms.values())
+        self._check_finite(loss)
+        # One walk through extraction and field for all terms together: it costs as much as a render.
+        torch.autograd.backward(roots, gradients)
+        for group, rate in zip(self.optimizer.param_groups, self._field_rates, strict=True):
+            group["lr"] = rate * rate_factor
+        self.optimizer.step()
+        for table in self.extractor.tables.values():
+            table.step(rate_factor)
+        if not self._config.gradient_isolation:
+            self.scene.step(rate_factor)
+        return StepReport(
+            loss=loss,
+            terms=terms,
+            inner_loss=inner_loss,
+            faces=surface.faces.shape[0],
+            gaussians=binding.opacities.numel(),
+        )
+
+    def inner_loop(
+        self, surface: Surface, images: Sequence[TrainingImage], steps: int, rate_factor: float
+    ) -> float | None:
+        """Colours, scales and places of the Gaussians, on a surface without gradient. Returns the mean loss."""
+        total = 0.0
+        fixed = self.scene.bind(surface, learn=False)
+        for step in range(steps):
+            learn_places = step % self._config.bind_every == 0
+            binding = self.scene.bind(surface, learn=True) if learn_places else fixed
+            self.scene.zero_grad()
+            gaussians = assemble(binding, self.scene.harmonics(binding.means, degree=self._degree(step), learn=True))
+            image = images[self._next_view(len(images))]
+            background = self._background(image)
+            loss = self._objectives.photometric(self._render(gaussians, image, background), image.over(background))
+            total += float(loss.detach())
+            if learn_places:
+                for constraint in self._objectives.constraints:
+                    loss = loss + constraint.weight * constraint.term(binding)
+            self._check_finite(float(loss.detach()))
+            loss.backward()
+            self.scene.step(1.0 if not self._config.warm_start else rate_factor)
+            if learn_places:
+                fixed = self.scene.bind(surface, learn=False)
+            self.inner_total += 1
+        return total / steps if steps else None
+
+    # -- parts of an outer step ----------------------------------------------------------------------------------
+
+    def extract(self) -> Extraction:
+        """The current surface, connected to field and extractor. Raises EmptySurfaceError."""
+        assert self.seeds is not None, "the first seeds come from outside"  # noqa: S101
+        self.extraction = self.extractor.extract(lambda points: self.field(points).sdf, self.seeds)
+        self.seeds = self.extraction.cells
+        return self.extraction
+
+    def _image_gradients(
+        self, binding: Binding, images: Sequence[TrainingImage], stage: StageConfig, views: int
+    ) -> tuple[list[Tensor], list[Tensor], dict[str, float]]:
+        """The connected tensors of the Gaussians, the mean gradient of the views' image terms by them, and the terms.
+
+        Each view's graph ends at the Gaussians and is freed before the next view is rendered.
+        """
+        joint = not self._config.gradient_isolation
+        sh = self.scene.harmonics(binding.means, degree=self._degree(0), learn=joint)
+        connected = assemble(binding, sh)
+        gathered = _as_leaves(connected)
+        objectives = self._objectives.silhouettes if stage.silhouette_only else self._objectives.images
+        terms = {objective.name: 0.0 for objective in objectives}
+        for _ in range(views):
+            image = images[self._next_view(len(images))]
+            background = self._background(image)
+            rendering, target = self._render(gathered, image, background), image.over(background)
+            loss = rendering.alpha.new_zeros(())
+            for objective in objectives:
+                term = objective.weight * objective.term(rendering, target)
+                terms[objective.name] += float(term.detach()) / views
+                loss = loss + term
+            if loss.requires_grad:
+                (loss / views).backward()
+        roots, gradients = [], []
+        for value, leaf in _tensor_pairs(connected, gathered):
+            if leaf.grad is not None:
+                roots.append(value)
+                gradients.append(leaf.grad)
+        return roots, gradients, terms
+
+    def _render(self, gaussians: Gaussians, image: TrainingImage, background: Float[Tensor, " 3"]) -> Rendering:
+        return self._rasterizer.render(
+            gaussians, image.camera, background, low_pass_px2=self._config.low_pass_px2, normals=False
+        )
+
+    def _zero_grad(self) -> None:
+        self.optimizer.zero_grad()
+        self.scene.zero_grad()
+        for table in self.extractor.tables.values():
+            table.zero_grad()
+
+    def _check_finite(self, loss: float) -> None:
+        if loss != loss or loss in (float("inf"), float("-inf")):
+            raise FloatingPointError(f"the objective is {loss}")
+
+    def _degree(self, step: int) -> int:
+        """Active spherical-harmonics degree: one more every so many inner steps (3DGS), from the Gaussians' start."""
+        steps = self.inner_total if self._config.warm_start else step
+        return steps // self._config.sh_degree_every
+
+    def _next_view(self, count: int) -> int:
+        """Every view once, in random order, before any comes again."""
+        if not self.view_order:
+            self.view_order = torch.randperm(count, generator=self._generator).tolist()
+        return self.view_order.pop()
+
+    def _background(self, image: TrainingImage) -> Float[Tensor, " 3"]:
+        if self._config.random_background and image.alpha is not None:
+            return torch.rand(3, generator=self._generator).to(image.premultiplied)
+        return torch.ones(3).to(image.premultiplied)
+
+
+def _as_leaves(gaussians: Gaussians) -> Gaussians:
+    """The same values, cut off; those that a gradient can go on from collect one."""
+
+    def leaf(value: Tensor) -> Tensor:
+        return value.detach().requires_grad_(value.requires_grad)
+
+    return Gaussians(
+        means=leaf(gaussians.means),
+        scales=leaf(gaussians.scales),
+        rotations=leaf(gaussians.rotations),
+        opacities=leaf(gaussians.opacities),
+        sh=leaf(gaussians.sh),
+        face=gaussians.face,
+    )
+
+
+def _tensor_pairs(first: Gaussians, second: Gaussians) -> list[tuple[Tensor, Tensor]]:
+    return [
+        (first.means, second.means),
+        (first.scales, second.scales),
+        (first.rotations, second.rotations),
+        (first.opacities, second.opacities),
+        (first.sh, second.sh),
+    ]

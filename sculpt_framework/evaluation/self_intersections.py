@@ -1,0 +1,38 @@
+"""Where a surface passes through itself."""
+
+import igl
+import numpy as np
+
+from sculpt_framework.evaluation.mesh import Mesh
+
+
+def count_self_intersections(mesh: Mesh) -> int:
+    """Pairs of faces that cross: an edge of one passes through the inside of the other, away from its vertices.
+
+    Exact up to rounding for faces in general position. Not counted: faces that only touch, and faces that overlap in
+    one plane.
+    """
+    if len(mesh.faces) == 0:
+        return 0
+    half_edges = np.stack([mesh.faces, np.roll(mesh.faces, -1, axis=1)], axis=2).reshape(-1, 2)
+    ends, edge_of_half_edge = np.unique(np.sort(half_edges, axis=1), axis=0, return_inverse=True)
+    tree = igl.AABB()
+    tree.init(mesh.vertices, mesh.faces)
+    start, end = mesh.vertices[ends[:, 0]], mesh.vertices[ends[:, 1]]
+    # One list per edge of (face, place along the edge, u, v), for the whole ray: before and behind the edge too.
+    hits = tree.intersect_ray(mesh.vertices, mesh.faces, start, end - start)
+    edge = np.repeat(np.arange(len(hits)), [len(found) for found in hits])
+    face = np.array([hit[0] for found in hits for hit in found], dtype=np.int64)
+    place = np.array([hit[1] for found in hits for hit in found], dtype=np.float64)
+    crosses = (place > 0) & (place < 1)
+    crosses &= ~(mesh.faces[face][:, :, None] == ends[edge][:, None, :]).any((1, 2))
+    edge, face = edge[crosses], face[crosses]
+    # Every face along a crossing edge crosses what the edge crosses.
+    order = np.argsort(edge_of_half_edge, kind="stable")
+    first = np.searchsorted(edge_of_half_edge[order], np.arange(len(ends) + 1))
+    pairs = {
+        (min(owner, crossed), max(owner, crossed))
+        for one, crossed in zip(edge.tolist(), face.tolist(), strict=True)
+        for owner in (order[first[one] : first[one + 1]] // 3).tolist()
+    }
+    return len(pairs)

@@ -1,0 +1,38 @@
+"""Files that are whole or not there: written aside, flushed to the disk, then renamed over the old one."""
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import BinaryIO
+
+from sculpt_framework.errors import OutputError
+
+
+def write_atomically(path: Path, content: bytes | Callable[[BinaryIO], None]) -> None:
+    """Put ``content`` at ``path``; a callback gets the open file and writes into it.
+
+    Whatever goes wrong, a file that was at ``path`` stays as it was and nothing is left beside it. Raises OutputError,
+    naming ``path``, where the system refuses: disk full, no such folder, no permission.
+    """
+    aside = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        try:
+            with open(aside, "wb") as file:
+                if isinstance(content, bytes):
+                    file.write(content)
+                else:
+                    content(file)
+                file.flush()
+                os.fsync(file.fileno())
+            os.replace(aside, path)
+        finally:
+            # After the rename there is nothing left to remove.
+            aside.unlink(missing_ok=True)
+    except OSError as error:
+        raise cannot_write(path, error) from error
+
+
+def cannot_write(path: Path, error: OSError) -> OutputError:
+    """The one line a user reads when the system refuses to write ``path``."""
+    reason = error.strerror or str(error)
+    return OutputError(f"cannot write {path} ({reason}); free space or choose another place with --output")

@@ -1,0 +1,40 @@
+"""Pieces of a mesh that do not belong to the object: specks outside, bubbles inside."""
+
+import numpy as np
+from jaxtyping import Bool, Float, Int64
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+_SPECK_SHARE = 0.01
+"""A piece with less than this share of the largest piece's area is a speck."""
+
+
+def main_faces(vertices: Float[np.ndarray, "v 3"], faces: Int64[np.ndarray, "f 3"]) -> Bool[np.ndarray, " f"]:
+    """Which faces belong to pieces of the object: not specks, and not turned inwards (the walls of a bubble).
+
+    Keeps whole components, so a closed mesh stays closed. A mesh that is one piece is kept whatever it is.
+    """
+    if len(faces) == 0:
+        return np.zeros(0, dtype=bool)
+    edges = np.concatenate([faces[:, :2], faces[:, 1:]])
+    graph = coo_array((np.ones(len(edges), dtype=np.int8), (edges[:, 0], edges[:, 1])), shape=(len(vertices),) * 2)
+    count, label = connected_components(graph, directed=False)
+    piece = label[faces[:, 0]]
+    if len(np.unique(piece)) == 1:
+        return np.ones(len(faces), dtype=bool)
+    corners = vertices[faces].astype(np.float64)
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.bincount(piece, 0.5 * np.linalg.norm(cross, axis=1), minlength=count)
+    middle = corners.reshape(-1, 3).mean(axis=0)
+    volume = np.bincount(piece, np.einsum("fx,fx->f", corners[:, 0] - middle, cross), minlength=count)
+    keep = (area >= _SPECK_SHARE * area.max()) & (volume > 0)
+    keep[area.argmax()] = True
+    return keep[piece]
+
+
+def compact(
+    vertices: Float[np.ndarray, "v 3"], faces: Int64[np.ndarray, "f 3"]
+) -> tuple[Float[np.ndarray, "w 3"], Int64[np.ndarray, "f 3"], Int64[np.ndarray, " w"]]:
+    """Drop vertices no face uses; also says which old vertex each new one is."""
+    used, renamed = np.unique(faces, return_inverse=True)
+    return vertices[used], renamed.reshape(faces.shape), used

@@ -1,0 +1,107 @@
+"""What a triangle mesh is made of, as integers: closedness, manifoldness, orientation, genus, components.
+
+Faces are integer rows "f 3" of numpy or torch (any device); answers are plain Python values or numpy arrays. Vertices
+that no face uses are ignored.
+"""
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int, Int64
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from torch import Tensor
+
+Faces = Int[np.ndarray, "f 3"] | Int[Tensor, "f 3"]
+Vertices = Float[np.ndarray, "v 3"] | Float[Tensor, "v 3"]
+
+
+def _array(values: np.ndarray | Tensor) -> np.ndarray:
+    return values.detach().cpu().numpy() if isinstance(values, torch.Tensor) else values
+
+
+def _directed_edges(faces: Faces) -> Int64[np.ndarray, "e 2"]:
+    """The three edges of face 0, then those of face 1, ...: edge n goes from corner n of its face to the next."""
+    array = _array(faces).astype(np.int64)
+    return np.stack([array, np.roll(array, -1, axis=1)], axis=2).reshape(-1, 2)
+
+
+def _edge_names(edges: Int64[np.ndarray, "e 2"]) -> Int64[np.ndarray, " e"]:
+    """One integer per edge, whatever its direction."""
+    return (edges.min(axis=1) << 32) | edges.max(axis=1)
+
+
+def boundary_edges(faces: Faces) -> Int64[np.ndarray, "b 2"]:
+    """Edges with one face, directed as in that face. A mesh without any is closed."""
+    edges = _directed_edges(faces)
+    _, inverse, count = np.unique(_edge_names(edges), return_inverse=True, return_counts=True)
+    return edges[count[inverse] == 1]
+
+
+def is_edge_manifold(faces: Faces) -> bool:
+    """Whether no edge has more than two faces."""
+    _, count = np.unique(_edge_names(_directed_edges(faces)), return_counts=True)
+    return bool((count <= 2).all())
+
+
+def is_vertex_manifold(faces: Faces) -> bool:
+    """Whether the mesh is edge-manifold and the faces at each vertex form one fan, open or closed."""
+    edges = _directed_edges(faces)
+    if not is_edge_manifold(faces):
+        return False
+    # Corners of faces are nodes; an edge shared by two faces links the two corners at each of its ends.
+    first, second = _paired_sides(edges)
+    following = np.arange(len(edges)) - np.arange(len(edges)) % 3 + (np.arange(len(edges)) + 1) % 3
+    corner_a = np.concatenate([first, following[first]])
+    same_direction = edges[first, 0] == edges[second, 0]
+    corner_b = np.concatenate(
+        [np.where(same_direction, second, following[second]), np.where(same_direction, following[second], second)]
+    )
+    fans, _ = _connected(corner_a, corner_b, len(edges))
+    return fans == len(np.unique(edges[:, 0]))
+
+
+def is_consistently_oriented(faces: Faces) -> bool:
+    """Whether no two faces pass an edge in the same direction."""
+    edges = _directed_edges(faces)
+    return len(np.unique((edges[:, 0] << 32) | edges[:, 1])) == len(edges)
+
+
+def euler_characteristic(faces: Faces) -> int:
+    """Vertices in use - edges + faces; for a closed oriented mesh the sum of 2 - 2 genus over its components."""
+    edges = _directed_edges(faces)
+    return len(np.unique(edges)) - len(np.unique(_edge_names(edges))) + len(faces)
+
+
+def signed_volume(vertices: Vertices, faces: Faces) -> float:
+    """Enclosed volume of a closed mesh, positive where its faces turn outward. Computed in float64."""
+    points = _array(vertices).astype(np.float64)
+    used = points[_array(faces)]
+    # Taking a point of the mesh as origin keeps small meshes far from the origin accurate.
+    a, b, c = np.moveaxis(used - used.reshape(-1, 3).mean(axis=0), 1, 0)
+    return float((np.cross(a, b) * c).sum() / 6)
+
+
+def components(faces: Faces) -> tuple[int, Int64[np.ndarray, " f"]]:
+    """Number of pieces that hang together by shared vertices, and the piece of each face."""
+    edges = _directed_edges(faces)
+    names, node = np.unique(edges, return_inverse=True)
+    node = node.reshape(-1, 2)
+    count, label = _connected(node[:, 0], node[:, 1], len(names))
+    return count, label[node[::3, 0]]
+
+
+def _paired_sides(edges: Int64[np.ndarray, "e 2"]) -> tuple[Int64[np.ndarray, " p"], Int64[np.ndarray, " p"]]:
+    """Rows of the two directed edges of each edge that has two faces."""
+    names = _edge_names(edges)
+    order = np.argsort(names, kind="stable")
+    twin = np.flatnonzero(names[order[1:]] == names[order[:-1]])
+    return order[twin], order[twin + 1]
+
+
+def _connected(
+    a: Int64[np.ndarray, " p"], b: Int64[np.ndarray, " p"], nodes: int
+) -> tuple[int, Int64[np.ndarray, " n"]]:
+    """Connected components of the graph with links a[n] - b[n]."""
+    graph = coo_matrix((np.ones(len(a), dtype=bool), (a, b)), shape=(nodes, nodes))
+    count, label = connected_components(graph, directed=False)
+    return int(count), label.astype(np.int64)

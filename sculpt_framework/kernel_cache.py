@@ -1,0 +1,49 @@
+"""Where compiled numba kernels are kept between processes."""
+
+import hashlib
+import logging
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numba
+
+
+@contextmanager
+def kernel_cache(name: str, sources: Path) -> Iterator[None]:
+    """Kernels defined inside keep their machine code in a folder of the user's, one per state of ``sources``.
+
+    ``sources`` is a Python file or a folder of them. numba alone looks at the file a kernel is written in, and would
+    go on using code that was compiled with constants another file no longer has. A cache folder the user has set
+    (NUMBA_CACHE_DIR) is left as it is. Says so, once, when nothing is compiled yet.
+    """
+    if numba.config.CACHE_DIR:
+        yield
+        return
+    folder = _user_folder() / f"{name}-{_digest(sources)}"
+    if not folder.is_dir():
+        message = "compiling the CPU kernels of '%s' on first use, kept in %s"
+        logging.getLogger("sculpt").info(message, name, folder)
+    numba.config.CACHE_DIR = str(folder)
+    try:
+        yield
+    finally:
+        numba.config.CACHE_DIR = ""
+
+
+def _user_folder() -> Path:
+    """The user's cache folder, or one under the system's temporary folder where home is read-only."""
+    candidate = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "gaussian-sculpting"
+    try:
+        candidate.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=candidate).close()
+    except OSError:
+        return Path(tempfile.gettempdir()) / f"gaussian-sculpting-{os.getuid()}"
+    return candidate
+
+
+def _digest(sources: Path) -> str:
+    files = sorted(sources.glob("*.py")) if sources.is_dir() else [sources]
+    return hashlib.sha256(b"\0".join(file.read_bytes() for file in files)).hexdigest()[:12]

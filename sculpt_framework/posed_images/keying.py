@@ -1,0 +1,102 @@
+"""Alpha for images that have none: a constant background is found in the images' own borders and keyed out."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float
+
+Image = Float[np.ndarray, "h w 3"]
+Color = Float[np.ndarray, " 3"]
+
+# The object may reach the border in places; a background that fills less than this share of it is not trusted.
+_BORDER_SHARE = 0.6
+# Sensor noise and JPEG blocks stay within this of the background; anything closer to it is taken as background.
+_TOLERANCE = 0.04
+# The same for a background that is exactly one colour, as renderers make it: three steps of 255.
+_EXACT_TOLERANCE = 0.012
+# Enclosed background (seen through a handle) counts from this share of the image on; specks are highlights.
+_HOLE_SHARE = 2e-4
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Background:
+    color: Color
+    """sRGB in [0, 1]."""
+    tolerance: float
+    """Largest difference in a channel that still is background."""
+
+
+def common_background(images: Sequence[Image], lossless: bool) -> Background | None:
+    """The one colour behind all images; None if their borders do not agree on one.
+
+    ``lossless`` says that the images never went through JPEG, whose errors are largest around the object.
+    """
+    rings = [_border(image) for image in images]
+    colors = np.stack([np.median(ring, axis=0) for ring in rings])
+    color = np.median(colors, axis=0)
+    shares = [(np.abs(ring - color).max(axis=1) <= _TOLERANCE).mean() for ring in rings]
+    if (np.array(shares) >= _BORDER_SHARE).mean() < 0.9:
+        return None
+    return given_background(color, images, lossless)
+
+
+def given_background(color: Color, images: Sequence[Image], lossless: bool) -> Background:
+    """A background of known colour, with the tolerance that the images' borders ask for."""
+    errors = [np.abs(_border(image) - color).max(axis=1) for image in images]
+    near = np.concatenate([error[error <= _TOLERANCE] for error in errors])
+    exact = lossless and near.size > 0 and float(np.quantile(near, 0.99)) < 0.5 / 255
+    return Background(color=color, tolerance=_EXACT_TOLERANCE if exact else _TOLERANCE)
+
+
+def _border(image: Image) -> Float[np.ndarray, "n 3"]:
+    """The outermost two pixels all around."""
+    sides = (image[:2], image[-2:], image[:, :2], image[:, -2:])
+    return np.concatenate([side.reshape(-1, 3) for side in sides])
+
+
+def key_out(image: Image, background: Background) -> tuple[Image, Float[np.ndarray, "h w"]]:
+    """Straight colour and alpha of an image over a constant background.
+
+    Background is what looks like it and is connected to the border, or forms a large enough enclosed hole, so that an
+    object's own spots of that colour stay. On the outline a pixel is taken as a mixture of the background and of the
+    nearest colour inside; without that the outline would lie half a pixel too far outside.
+    """
+    behind = background.color.astype(image.dtype)
+    empty = _connected(np.abs(image - behind).max(axis=2) <= background.tolerance)
+    solid = cv2.erode((~empty).astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=1)
+    rim = ~empty & (solid == 0)
+    alpha = (~empty).astype(image.dtype)
+    if not solid.any() or not rim.any():
+        return image, alpha
+    nearest = _nearest_index(solid.astype(bool))
+    inner = image[solid.astype(bool)][nearest[rim]]
+    span = inner - behind
+    share = ((image[rim] - behind) * span).sum(1) / np.maximum((span * span).sum(1), 1e-6)
+    alpha[rim] = np.clip(share, 0, 1)
+    rgb = image.copy()
+    rgb[rim] = inner
+    return rgb, alpha
+
+
+def _connected(similar: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    """The parts of ``similar`` that touch the border or are large."""
+    _, parts, stats, _ = cv2.connectedComponentsWithStats(similar.astype(np.uint8), connectivity=4)
+    labels = np.asarray(parts, np.int64)
+    height, width = similar.shape
+    keep = stats[:, cv2.CC_STAT_AREA] >= max(16, _HOLE_SHARE * height * width)
+    border = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
+    keep[np.unique(border)] = True
+    keep[0] = False
+    return keep[labels]
+
+
+def _nearest_index(solid: Bool[np.ndarray, "h w"]) -> np.ndarray:
+    """For each pixel, which of the solid pixels (in row order) is nearest."""
+    empty = (~solid).astype(np.uint8)
+    _, sources = cv2.distanceTransformWithLabels(empty, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
+    labels = np.asarray(sources, np.int64)
+    rank = np.zeros(int(labels.max()) + 1, np.int64)
+    rank[labels[solid]] = np.arange(int(solid.sum()))
+    return rank[labels]

@@ -1,0 +1,201 @@
+"""Configurations as JSON and back, through the registry: ``{"type": "hash-grid", "num_levels": 7, ...}``.
+
+Types are read off the dataclasses, so a new component needs nothing here. What does not fit raises ConfigError with
+the key and the expected type; nothing in a file can run code.
+"""
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import MISSING, fields, is_dataclass
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+
+from sculpt_framework import registry
+from sculpt_framework.config import ComponentConfig, MethodConfig
+from sculpt_framework.errors import ConfigError
+from sculpt_framework.registry import SLOTS
+
+VERSION = 1
+
+
+def config_to_json(config: MethodConfig) -> str:
+    """The config as JSON text. Raises ConfigError as ``config_to_values``."""
+    return json.dumps(config_to_values(config), indent=2, allow_nan=False) + "\n"
+
+
+def config_from_json(text: str) -> MethodConfig:
+    """Inverse of ``config_to_json``. Raises ConfigError, also where the text is no JSON."""
+    try:
+        values = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise ConfigError(f"not valid JSON ({error}).") from error
+    return config_from_values(values)
+
+
+def read_config(path: Path) -> MethodConfig:
+    """Read a file that holds ``config_to_json``. Raises ConfigError, which names the file."""
+    try:
+        return config_from_json(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"{path} cannot be read: {error.strerror}.") from error
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: not valid JSON ({error}).") from error
+    except ConfigError as error:
+        raise type(error)(f"{path}: {error}") from error
+
+
+def config_to_values(config: MethodConfig) -> dict[str, Any]:
+    """The config as JSON values. Raises ConfigError if a component is not registered or a number is not finite."""
+    return {"version": VERSION, **_encode(config, "")}
+
+
+def config_from_values(values: object) -> MethodConfig:
+    """Inverse of ``config_to_values``. Keys that are absent take their defaults. Raises ConfigError."""
+    if not isinstance(values, Mapping):
+        raise ConfigError(f"a configuration must be a JSON object, not {_kind(values)}.")
+    version = values.get("version")
+    if version != VERSION or isinstance(version, bool):
+        raise ConfigError(f"the configuration has version {version!r}; this program reads version {VERSION}.")
+    return _decode_dataclass(MethodConfig, {key: value for key, value in values.items() if key != "version"}, "")
+
+
+def _encode(value: object, path: str) -> Any:
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    if isinstance(value, float):
+        if not math.isfinite(value):
+            raise ConfigError(f"{path} is {value}; only finite numbers can be saved.")
+        return value
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, tuple):
+        return [_encode(item, f"{path}[{index}]") for index, item in enumerate(value)]
+    if is_dataclass(value):
+        tag = {"type": registry.name_of(value)} if isinstance(value, ComponentConfig) else {}
+        return tag | {each.name: _encode(getattr(value, each.name), _join(path, each.name)) for each in fields(value)}
+    raise ConfigError(f"{path} is of type {type(value).__name__}, which a configuration cannot hold.")
+
+
+def _decode(kind: Any, value: object, path: str) -> Any:
+    """``value`` as an instance of the annotation ``kind``; ``path`` is the key for messages."""
+    origin, arguments = get_origin(kind), get_args(kind)
+    if origin in (Union, UnionType):
+        return _decode_union(arguments, value, path)
+    if origin is Literal:
+        if isinstance(value, str | int | NoneType) and any(
+            value == each and type(value) is type(each) for each in arguments
+        ):
+            return value
+        raise _mismatch(path, value, "one of " + ", ".join(repr(each) for each in arguments))
+    if origin is tuple:
+        return _decode_tuple(arguments, value, path)
+    if isinstance(kind, type) and issubclass(kind, ComponentConfig):
+        return _decode_component(kind, value, path)
+    if isinstance(kind, type) and is_dataclass(kind):
+        if not isinstance(value, Mapping):
+            raise _mismatch(path, value, "an object")
+        return _decode_dataclass(kind, value, path)
+    if kind is float:
+        return _decode_float(value, path)
+    if kind is Path:
+        if isinstance(value, str) and "\0" not in value:
+            return Path(value)
+        raise _mismatch(path, value, "a path")
+    if kind in (bool, int, str, NoneType):
+        if type(value) is kind:
+            return value
+        raise _mismatch(path, value, _NAMES[kind])
+    raise ConfigError(f"{path}: its type {kind!r} cannot be read from JSON.")
+
+
+_NAMES = {bool: "true or false", int: "a whole number", str: "text", NoneType: "null"}
+
+
+def _decode_float(value: object, path: str) -> float:
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        try:
+            number = float(value)
+        except OverflowError:
+            number = math.inf
+        if math.isfinite(number):
+            return number
+    raise _mismatch(path, value, "a finite number")
+
+
+def _decode_union(kinds: tuple[Any, ...], value: object, path: str) -> Any:
+    problems: list[str] = []
+    for kind in kinds:
+        try:
+            return _decode(kind, value, path)
+        except ConfigError as error:
+            problems.append(str(error))
+    if value is not None and NoneType in kinds and len(kinds) == 2:
+        raise ConfigError(next(text for kind, text in zip(kinds, problems, strict=True) if kind is not NoneType))
+    raise ConfigError("; or ".join(problems))
+
+
+def _decode_tuple(kinds: tuple[Any, ...], value: object, path: str) -> tuple[Any, ...]:
+    if not isinstance(value, list | tuple):
+        raise _mismatch(path, value, "a list")
+    if len(kinds) == 2 and kinds[1] is Ellipsis:
+        kinds = (kinds[0],) * len(value)
+    if len(kinds) != len(value):
+        raise _mismatch(path, value, f"a list of length {len(kinds)}")
+    return tuple(
+        _decode(kind, item, f"{path}[{index}]") for index, (kind, item) in enumerate(zip(kinds, value, strict=True))
+    )
+
+
+def _decode_component(base: type[ComponentConfig], value: object, path: str) -> ComponentConfig:
+    """A component by its "type". ``base`` is a slot's base class, or a certain component's config class."""
+    if not isinstance(value, Mapping):
+        raise _mismatch(path, value, 'an object with a "type"')
+    slot = next((slot for slot in SLOTS.values() if issubclass(base, slot.base)), None)
+    if slot is None:
+        raise ConfigError(f"{path}: {base.__name__} belongs to no slot.")
+    name = value.get("type")
+    if not isinstance(name, str):
+        raise _mismatch(_join(path, "type"), name, f"the name of a {slot.one}")
+    try:
+        kind = registry.load(slot.name, name)
+    except ConfigError as error:
+        raise type(error)(f"{path}: {error}") from error
+    if not issubclass(kind, base):
+        raise ConfigError(f"{path}: {name!r} is not a {base.__name__}.")
+    return _decode_dataclass(kind, {key: item for key, item in value.items() if key != "type"}, path)
+
+
+def _decode_dataclass(kind: type[Any], value: Mapping[str, object], path: str) -> Any:
+    known = {each.name: each for each in fields(kind)}
+    for key in value:
+        if key not in known:
+            near = registry.closest(str(key), known)
+            hint = f"Did you mean {near!r}?" if near else f"Known here: {', '.join(known)}."
+            raise ConfigError(f"{_join(path, str(key))} is not a known key. {hint}")
+    hints = get_type_hints(kind)
+    for name, each in known.items():
+        if name not in value and each.default is MISSING and each.default_factory is MISSING:
+            raise ConfigError(f"{_join(path, name)} is missing.")
+    decoded = {name: _decode(hints[name], item, _join(path, name)) for name, item in value.items()}
+    try:
+        return kind(**decoded)
+    except ValueError as error:
+        raise ConfigError(f"{path}: {error}") from error
+
+
+def _join(path: str, key: str) -> str:
+    return f"{path}.{key}" if path else key
+
+
+def _kind(value: object) -> str:
+    return {dict: "an object", list: "a list", str: "text", bool: "true or false", NoneType: "null"}.get(
+        type(value), "a number"
+    )
+
+
+def _mismatch(path: str, value: object, expected: str) -> ConfigError:
+    shown = json.dumps(value, default=str)
+    shown = shown if len(shown) <= 40 else f"{shown[:37]}..."
+    return ConfigError(f"{path} is {shown}; expected {expected}.")

@@ -1,0 +1,74 @@
+"""Ranges of a config's numbers, checked before anything is built; the message names the option."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
+
+from sculpt_framework.config import ComponentConfig, MethodConfig, StageConfig, TrainerConfig
+from sculpt_framework.errors import ConfigError
+from sculpt_framework.registry import SLOTS, name_of
+
+
+def check(config: MethodConfig) -> None:
+    """Raise ConfigError for the first value that no run can use."""
+    for option, value in _numbers(config, ""):
+        _require(math.isfinite(value), option, value, "a finite number")
+    if config.max_time is not None:
+        _require(config.max_time > 0, "max-time", config.max_time, "seconds above 0")
+    if config.threads is not None:
+        _require(config.threads >= 1, "threads", config.threads, "1 or more")
+    _require(0 <= config.seed < 2**63, "seed", config.seed, "0 or more, below 2^63")
+    _check_trainer(config.trainer)
+    for slot in (slot for slot in SLOTS.values() if slot.many):
+        names = [name_of(component) for component in getattr(config, slot.name)]
+        _require(len(set(names)) == len(names), slot.name, " ".join(names), "each name once")
+    for loss in config.losses:
+        _require(loss.weight >= 0, f"losses.{name_of(loss)}.weight", loss.weight, "0 or more")
+    for constraint in config.constraints:
+        option = f"constraints.{name_of(constraint)}.weight"
+        _require(constraint.weight >= 0, option, constraint.weight, "0 or more")
+
+
+def _check_trainer(trainer: TrainerConfig) -> None:
+    _require(trainer.outer_steps >= 1, "trainer.outer-steps", trainer.outer_steps, "1 or more")
+    _require(trainer.base_cells >= 2, "trainer.base-cells", trainer.base_cells, "2 or more")
+    _require(0 < trainer.final_rate <= 1, "trainer.final-rate", trainer.final_rate, "above 0, at most 1")
+    _require(trainer.bind_every >= 1, "trainer.bind-every", trainer.bind_every, "1 or more")
+    _require(trainer.sh_degree_every >= 1, "trainer.sh-degree-every", trainer.sh_degree_every, "1 or more")
+    _require(trainer.low_pass_px2 >= 0, "trainer.low-pass-px2", trainer.low_pass_px2, "0 or more")
+    _require(trainer.holdout_every >= 0, "trainer.holdout-every", trainer.holdout_every, "0 or more")
+    _require(trainer.fit_steps >= 0, "trainer.fit-steps", trainer.fit_steps, "0 or more")
+    _require(trainer.polish_steps >= 0, "trainer.polish-steps", trainer.polish_steps, "0 or more")
+    _require(
+        trainer.checkpoint_seconds > 0, "trainer.checkpoint-seconds", trainer.checkpoint_seconds, "seconds above 0"
+    )
+    if not trainer.stages:
+        raise ConfigError("the method has no stages; a run needs at least one.")
+    for index, stage in enumerate(trainer.stages):
+        _check_stage(stage, f"trainer.stages.{index}")
+
+
+def _check_stage(stage: StageConfig, prefix: str) -> None:
+    _require(stage.share > 0, f"{prefix}.share", stage.share, "above 0")
+    _require(0 <= stage.level <= 10, f"{prefix}.level", stage.level, "0 to 10")
+    _require(0 < stage.image_scale <= 1, f"{prefix}.image-scale", stage.image_scale, "above 0, at most 1")
+    _require(stage.inner_steps >= 0, f"{prefix}.inner-steps", stage.inner_steps, "0 or more")
+    _require(stage.outer_views >= 1, f"{prefix}.outer-views", stage.outer_views, "1 or more")
+
+
+def _require(holds: bool, option: str, value: object, expected: str) -> None:
+    if not holds:
+        raise ConfigError(f"--{option} is {value}; expected {expected}.")
+
+
+def _numbers(value: object, option: str) -> Iterator[tuple[str, float]]:
+    """Every floating-point number in a config, with its option."""
+    prefix = f"{option}." if option else ""
+    if isinstance(value, float):
+        yield option, value
+    elif isinstance(value, tuple):
+        for index, item in enumerate(value):
+            yield from _numbers(item, f"{prefix}{name_of(item) if isinstance(item, ComponentConfig) else index}")
+    elif is_dataclass(value):
+        for each in fields(value):
+            yield from _numbers(getattr(value, each.name), f"{prefix}{each.name.replace('_', '-')}")

@@ -1,0 +1,83 @@
+"""Help: what it says, what it costs, what it imports."""
+
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from sculpt_framework import registry
+from sculpt_framework.cli.options import flags
+from sculpt_framework.cli.train import overview, parse
+
+Snapshot = Callable[[str, str], None]
+HEAVY = ("torch", "viser", "trimesh", "cv2", "numpy", "scipy", "numba")
+
+
+@pytest.fixture(autouse=True)
+def plain_terminal(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("COLUMNS", "100")
+    monkeypatch.setenv("NO_COLOR", "1")
+
+
+@pytest.mark.usefixtures("fake")
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [("plain", ""), ("fancy", "--field fancy --losses none --constraints even tight --observers none")],
+)
+def test_help_of_a_method_follows_the_chosen_components(
+    name: str, words: str, capsys: pytest.CaptureFixture[str], snapshot: Snapshot
+):
+    with pytest.raises(SystemExit) as caught:
+        parse(["fake", *words.split(), "--help"])
+    assert caught.value.code == 0
+    lines = capsys.readouterr().out.splitlines()
+    snapshot(f"help-{name}", "".join(f"{line.rstrip()}\n" for line in lines))
+
+
+def test_a_method_that_cannot_be_imported_is_listed_as_such(install):
+    install("torn", {"sculpt_framework.methods": {"torn": "torn:torn", "gone": "no_such_module:gone"}}, torn="1 / 0")
+    lines = {line.split()[0]: line for line in overview().splitlines() if line.startswith("  ")}
+    assert lines["torn"].endswith("(not available: division by zero)")
+    assert lines["gone"].endswith("(not available: No module named 'no_such_module')")
+
+
+@pytest.mark.usefixtures("fake")
+def test_overview_lists_methods_with_the_first_line_of_their_docstrings():
+    assert "  fake                      A method that cannot train.\n" in overview()
+
+
+@pytest.mark.parametrize("method", registry.method_names())
+def test_the_options_of_every_method_are_frozen(method: str, snapshot: Snapshot):
+    snapshot(f"flags-{method}", "\n".join(flags(parse([method, "--data", "demo"]))) + "\n")
+
+
+def test_the_overview_of_the_methods_is_frozen(snapshot: Snapshot):
+    snapshot("overview", overview())
+
+
+@pytest.mark.parametrize("words", ["--help", "gaussian-sculpting --help"])
+def test_help_is_quick_and_imports_nothing_heavy(words: str):
+    script = (
+        "import sys, runpy\n"
+        f"sys.argv = ['sculpt-train', *{words.split()!r}]\n"
+        "from sculpt_framework.cli.train import main\n"
+        "try:\n    main()\n"
+        "finally:\n"
+        f"    sys.stderr.write(','.join(sorted(set({HEAVY!r}) & set(sys.modules))))"
+    )
+    started = time.perf_counter()
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False)
+    took = time.perf_counter() - started
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "usage: sculpt-train" in done.stdout
+    assert took < 1.5
+
+
+def test_the_console_script_is_installed():
+    script = Path(sys.executable).with_name("sculpt-train")
+    done = subprocess.run([script, "--help"], capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "gaussian-sculpting-paper" in done.stdout

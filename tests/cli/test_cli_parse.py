@@ -1,0 +1,133 @@
+"""What a command line stands for."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from sculpt_framework import registry
+from sculpt_framework.cli.options import flags
+from sculpt_framework.cli.train import parse, read_request
+from sculpt_framework.config import MethodConfig
+from sculpt_framework.errors import CheckpointError, ConfigError
+from sculpt_framework.serialization import config_to_json
+
+pytestmark = pytest.mark.usefixtures("fake")
+
+
+def run(words: str) -> MethodConfig:
+    return parse(["fake", "--data", "x", *words.split()])
+
+
+def plain() -> MethodConfig:
+    return replace(registry.load_method("fake")(), data="x")
+
+
+def default(slot: str, name: str):
+    return registry.default(slot, name)
+
+
+def test_without_options_the_method_s_config_comes_out():
+    assert run("") == plain()
+
+
+def test_general_options():
+    config = run("--output o/p --max-time 90 --device cpu --threads 2 --seed 7")
+    assert config == replace(plain(), output=Path("o/p"), max_time=90.0, device="cpu", threads=2, seed=7)
+
+
+def test_a_component_brings_its_options():
+    config = run("--field fancy --field.num-levels 9 --field.resolution 2 8 --field.no-coarse-to-fine --field.limit 3")
+    fancy = replace(default("field", "fancy"), num_levels=9, resolution=(2, 8), coarse_to_fine=False, limit=3.0)
+    assert config == replace(plain(), field=fancy)
+
+
+@pytest.mark.parametrize("words", ["--field=fancy --field.num-levels=9", "--field fancy --field.num_levels 9"])
+def test_spellings_of_an_option(words: str):
+    assert run(words).field == replace(default("field", "fancy"), num_levels=9)
+
+
+def test_options_may_come_before_the_component_they_belong_to():
+    assert run("--field.num-levels 9 --field fancy").field == replace(default("field", "fancy"), num_levels=9)
+
+
+def test_choosing_again_keeps_the_method_s_settings():
+    assert run("--field plain").field == plain().field != default("field", "plain")
+
+
+def test_lists_keep_settings_take_new_members_and_order():
+    config = run("--losses outline likeness --constraints even tight --constraints.even.weight 3")
+    assert config.losses == plain().losses[::-1]
+    assert config.constraints == (replace(default("constraints", "even"), weight=3.0), default("constraints", "tight"))
+
+
+@pytest.mark.parametrize("words", ["--constraints none", "--constraints=none", "--constraints none --seed 0"])
+def test_none_empties_a_list(words: str):
+    assert run(words) == replace(plain(), constraints=())
+
+
+def test_lists_in_equals_form_take_the_words_that_follow():
+    assert run("--losses=outline likeness").losses == plain().losses[::-1]
+
+
+def test_nested_options_of_the_trainer():
+    config = run("--trainer.stages.1.level 2 --trainer.no-warm-start --trainer.final-rate 0.1")
+    first, second = plain().trainer.stages
+    stages = (first, replace(second, level=2))
+    assert config.trainer == replace(plain().trainer, stages=stages, warm_start=False, final_rate=0.1)
+
+
+def test_names_with_underscores_are_understood():
+    assert run("--field hash_grid").field == default("field", "hash-grid")
+
+
+def test_viewer_adds_the_viewer_once():
+    viser = default("observers", "viser")
+    assert run("--viewer").observers == (*plain().observers, viser)
+    assert run("--viewer --observers viser").observers == (viser,)
+    assert run("--observers none --viewer").observers == (viser,)
+
+
+def test_the_method_s_name_is_what_was_asked_for(install):
+    variant = "from sculpt_fake import fake\ndef my_way():\n    return fake()"
+    install("my-way", {"sculpt_framework.methods": {"my-way": "my_way:my_way"}}, my_way=variant)
+    assert parse(["my_way", "--data", "x"]).method == "my-way"
+
+
+def test_flags_are_the_options_of_the_help(capsys: pytest.CaptureFixture[str]):
+    with pytest.raises(SystemExit):
+        parse(["fake", "--field", "fancy", "--help"])
+    shown = set(re.findall(r"^\W*--([a-z][a-z0-9.-]*)", capsys.readouterr().out, re.MULTILINE))
+    assert shown == set(flags(run("--field fancy")))
+
+
+class TestResume:
+    @pytest.fixture
+    def run_dir(self, tmp_path: Path) -> Path:
+        saved = replace(plain(), field=default("field", "fancy"))
+        (tmp_path / "config.json").write_text(config_to_json(saved), encoding="utf-8")
+        return tmp_path
+
+    @pytest.mark.parametrize("words", ["--resume {}", "--resume={}", "fake --resume {}"])
+    def test_needs_neither_method_nor_data(self, run_dir: Path, words: str):
+        request = read_request(words.format(run_dir).split())
+        assert request.resume == run_dir
+        assert request.config == replace(plain(), field=default("field", "fancy"), output=run_dir)
+
+    def test_time_threads_and_observers_may_change(self, run_dir: Path):
+        config = read_request(f"--resume {run_dir} --max-time 60 --threads 1 --observers none".split()).config
+        assert (config.max_time, config.threads, config.observers) == (60.0, 1, ())
+
+    @pytest.mark.parametrize("words", ["--field.num-levels 2", "--seed 5", "--data y", "--output z", "--losses none"])
+    def test_nothing_else_may_change(self, run_dir: Path, words: str):
+        with pytest.raises(ConfigError, match="cannot be"):
+            read_request(["--resume", str(run_dir), *words.split()])
+
+    def test_the_method_must_be_the_saved_one(self, run_dir: Path):
+        with pytest.raises(ConfigError, match="a run of 'fake', not of 'gaussian-sculpting'"):
+            read_request(["gaussian-sculpting", "--resume", str(run_dir)])
+
+    def test_a_folder_without_a_run(self, tmp_path: Path):
+        with pytest.raises(CheckpointError, match="there is no saved run"):
+            read_request(["--resume", str(tmp_path / "nothing")])

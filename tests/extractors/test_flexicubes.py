@@ -1,0 +1,232 @@
+"""Gradients and learnable tables of the ``flexicubes`` extractor."""
+
+import pytest
+import torch
+from sampled_grids import all_cells, corner_lookup, unit_grid
+from sculpt_plugins.extractors.flexicubes.config import FlexiCubesConfig
+from sculpt_plugins.extractors.flexicubes.extractor import FlexiCubes
+from sculpt_plugins.extractors.flexicubes.geometry import center_split, diagonal_split, dual_vertices
+from sculpt_plugins.extractors.flexicubes.topology import DualTopology, dual_topology
+from torch import Tensor
+
+from sculpt_framework.geometry.band import Band, discover, track
+from sculpt_framework.geometry.grid import Grid, grid_over_box, unpack_ijk
+from sculpt_framework.testing import box_sdf, check_extraction, sphere_sdf
+
+CPU = torch.device("cpu")
+
+
+def noisy_band(grid: Grid) -> tuple[Band, DualTopology]:
+    """A small band with ambiguous faces, values well away from 0, in float64."""
+    random = torch.Generator().manual_seed(5)
+    noise = torch.rand(tuple(n + 1 for n in grid.shape), generator=random, dtype=torch.float64) + 0.2
+    values = torch.where(torch.rand(noise.shape, generator=random) < 0.5, noise, -noise)
+
+    def sample(corners: Tensor) -> tuple[Tensor, Tensor]:
+        positions = grid.corner_positions(unpack_ijk(corners), torch.float64)
+        return positions, corner_lookup(values)(positions)
+
+    band = track(sample, grid, all_cells(grid))
+    return band, dual_topology(band)
+
+
+def positive(shape: tuple[int, ...]) -> Tensor:
+    random = torch.Generator().manual_seed(7)
+    return (torch.rand(shape, generator=random, dtype=torch.float64) + 0.5).requires_grad_()
+
+
+def test_gradient_by_every_input():
+    grid = unit_grid((3, 4, 3))
+    band, topology = noisy_band(grid)
+    cells = len(band.cells)
+    inputs = [
+        band.corner_positions.clone().requires_grad_(),
+        band.corner_sdf.clone().requires_grad_(),
+        positive((cells, 8)),
+        positive((cells, 12)),
+        positive((cells,)),
+    ]
+
+    def everything(positions: Tensor, sdf: Tensor, alpha: Tensor, beta: Tensor, gamma: Tensor):
+        vertices, deviation = dual_vertices(topology, positions, sdf, grid.cell, alpha, beta)
+        return vertices, deviation, center_split(vertices, topology.vertices, gamma[topology.cells])[1]
+
+    assert torch.autograd.gradcheck(everything, inputs, fast_mode=True)
+    assert torch.autograd.gradcheck(
+        lambda positions, sdf: dual_vertices(topology, positions, sdf, grid.cell), inputs[:2], fast_mode=True
+    )
+
+
+def test_neutral_weights_are_plain_dual_contouring():
+    grid = unit_grid((4, 3, 4))
+    band, topology = noisy_band(grid)
+    plain = dual_vertices(topology, band.corner_positions, band.corner_sdf, grid.cell)
+    ones = torch.ones(len(band.cells), 12, dtype=torch.float64)
+    weighted = dual_vertices(topology, band.corner_positions, band.corner_sdf, grid.cell, ones[:, :8], ones)
+    torch.testing.assert_close(weighted, plain)
+    flat = center_split(plain[0], topology.vertices)[1]
+    torch.testing.assert_close(center_split(plain[0], topology.vertices, ones[topology.cells, 0])[1], flat)
+
+
+def test_dual_vertices_stay_in_their_cells():
+    grid = unit_grid((5, 5, 5))
+    band, topology = noisy_band(grid)
+    weights = positive((len(band.cells), 12)).detach() ** 8
+    vertices, _ = dual_vertices(topology, band.corner_positions, band.corner_sdf, 1.0, weights[:, :8], weights)
+    lowest = unpack_ijk(band.cells)[topology.cells].double()
+    inside = vertices[topology.vertices] - lowest
+    assert bool(((inside >= 0) & (inside <= 1)).all())
+
+
+def test_deviation_is_zero_where_all_crossings_are_equally_far():
+    grid = unit_grid((3, 3, 3))
+    values = torch.ones(4, 4, 4)
+    values[1, 1, 1] = -1.0  # An octahedron: each of its 8 cells has 3 crossings round a corner.
+    extraction = FlexiCubesConfig(learn_weights=False).build(grid, CPU).extract(corner_lookup(values), all_cells(grid))
+    assert extraction.deviation.shape == (8,)
+    torch.testing.assert_close(extraction.deviation, torch.zeros(8))
+
+
+def test_vanishing_sdf_keeps_gradients_finite():
+    grid = unit_grid((4, 4, 4))
+    values = torch.full((5, 5, 5), 0.0).requires_grad_()
+    inside = torch.zeros(5, 5, 5)
+    inside[2, 2, 1:4] = -1e-38
+    config = FlexiCubesConfig(split="center", learn_deformation=True)
+    extraction = config.build(grid, CPU).extract(corner_lookup(values + inside), all_cells(grid))
+    check_extraction(extraction)
+    total = extraction.surface.vertices.sum() + extraction.deviation.sum()
+    assert bool(torch.isfinite(torch.autograd.grad(total, [values])[0]).all())
+
+
+@pytest.mark.parametrize("name", ["alpha", "beta", "gamma", "delta"])
+def test_gradient_of_the_tables_through_extraction(name: str):
+    grid = grid_over_box(torch.ones(3), cells=7)
+    config = FlexiCubesConfig(split="center", learn_deformation=True)
+    extractor = FlexiCubes(config, grid, CPU, torch.float64)
+    sdf = box_sdf((0.52, 0.61, 0.43))
+    seeds = extractor.extract(sdf, discover(sdf, grid, 0)).cells
+    random = torch.Generator().manual_seed(11)
+    with torch.no_grad():
+        for table in extractor.tables.values():
+            for raw in table.leaves.values():
+                raw += 0.2 * torch.randn(raw.shape, generator=random, dtype=torch.float64)
+
+    # Shifting the corners moved the band; once it has settled, rows stay the same tensors.
+    for _ in range(4):
+        seeds = extractor.extract(sdf, seeds).cells
+    leaf = extractor.tables["corners" if name == "delta" else "cells"].leaves[name]
+
+    def objective() -> Tensor:
+        extraction = extractor.extract(sdf, seeds)
+        return extraction.surface.vertices.pow(3).sum() + extraction.deviation.sum()
+
+    (slope,) = torch.autograd.grad(objective(), [leaf])
+    direction = torch.randn(leaf.shape, generator=random, dtype=torch.float64)
+    with torch.no_grad():
+        leaf += 1e-6 * direction
+        above = objective()
+        leaf -= 2e-6 * direction
+        below = objective()
+    assert float(slope.abs().max()) > 0
+    torch.testing.assert_close((slope * direction).sum(), (above - below) / 2e-6, rtol=1e-5, atol=1e-7)
+
+
+def test_tables_exist_only_where_something_is_learned():
+    grid = grid_over_box(torch.ones(3), cells=8)
+    assert FlexiCubesConfig(learn_weights=False).build(grid, CPU).tables == {}
+    extractor = FlexiCubesConfig(learn_weights=True).build(grid, CPU)
+    extraction = extractor.extract(sphere_sdf(), discover(sphere_sdf(), grid, 0))
+    assert set(extractor.tables) == {"cells"}
+    assert set(extractor.tables["cells"].leaves) == {"alpha", "beta"}
+    assert extraction.cell_weights is not None
+    assert extraction.cell_weights.shape == (len(extraction.cells), 20)
+    assert extraction.cell_weights.requires_grad
+
+
+def test_weights_are_kept_while_their_cell_stays_and_survive_a_second_extraction():
+    grid = grid_over_box(torch.ones(3), cells=12)
+    extractor = FlexiCubesConfig().build(grid, CPU)
+    cells = extractor.extract(sphere_sdf(0.6), discover(sphere_sdf(0.6), grid, 0)).cells
+    table = extractor.tables["cells"]
+    leaf = table.leaves["alpha"]
+    extractor.extract(sphere_sdf(0.6), cells).surface.vertices.square().sum().backward()
+    assert table.leaves["alpha"] is leaf
+    assert leaf.grad is not None
+    table.step()
+    learned = leaf.detach().clone()
+    extractor.extract(sphere_sdf(0.63), cells)
+    row, known = table.locate(cells)
+    assert 0 < int(known.sum()) < len(cells)
+    assert torch.equal(table.leaves["alpha"].detach()[row[known]], learned[known])
+
+
+def test_finer_cells_inherit_the_weights_of_their_parents():
+    grid = grid_over_box(torch.ones(3), cells=8)
+    extractor = FlexiCubesConfig().build(grid, CPU)
+    extractor.extract(sphere_sdf(0.6), discover(sphere_sdf(0.6), grid, 0))
+    table = extractor.tables["cells"]
+    with torch.no_grad():
+        table.leaves["beta"].fill_(0.25)
+    for level in (1, 3):  # One level up, then two at once.
+        extractor.set_grid(grid.at_level(level))
+        extraction = extractor.extract(sphere_sdf(0.6), discover(sphere_sdf(0.6), extractor.grid, 0))
+        check_extraction(extraction)
+        assert len(table) == len(extraction.cells)
+        assert float((table.leaves["beta"] == 0.25).float().mean()) > 0.95
+
+
+def test_shifted_corners_stay_within_half_a_cell_and_off_the_wall():
+    grid = grid_over_box(torch.ones(3), cells=12)
+    sdf = sphere_sdf(1.4)
+    extractor = FlexiCubesConfig(learn_deformation=True).build(grid, CPU)
+    cells = extractor.extract(sdf, discover(sdf, grid, 0)).cells
+    extractor.extract(sdf, cells)
+    with torch.no_grad():
+        extractor.tables["corners"].leaves["delta"].uniform_(-9, 9, generator=torch.Generator().manual_seed(2))
+    extraction = extractor.extract(sdf, cells)
+    check_extraction(extraction)
+    place = unpack_ijk(extraction.cells)
+    shift = (
+        extraction.corner_positions[extraction.cell_corners[:, 0]] - grid.corner_positions(place, torch.float32)
+    ).abs()
+    shift = shift.detach()
+    assert float(shift.max()) < 0.5 * grid.cell
+    assert float(shift[grid.on_wall(place)].max()) == 0
+    assert float(shift[~grid.on_wall(place)].mean()) > 0.3 * grid.cell
+
+
+def test_learning_sharpens_the_edges_of_a_box():
+    grid = grid_over_box(torch.ones(3), cells=14)
+    sdf = box_sdf((0.5, 0.61, 0.43))
+    extractor = FlexiCubesConfig(weight_rate=0.05, learn_deformation=True, deformation_rate=0.02).build(grid, CPU)
+    cells = discover(sdf, grid, 0)
+    errors = []
+    for _ in range(60):
+        extraction = extractor.extract(sdf, cells)
+        corners = extraction.surface.vertices[extraction.surface.faces]
+        inner = torch.cat([corners.mean(dim=1), 0.5 * (corners[:, 0] + corners[:, 1]), corners[:, 0]])
+        error = sdf(inner).square().mean()
+        errors.append(float(error.detach()))
+        for table in extractor.tables.values():
+            table.zero_grad()
+        error.backward()
+        for table in extractor.tables.values():
+            table.step()
+        cells = extraction.cells
+    check_extraction(extraction)
+    assert errors[-1] < 0.2 * errors[0]
+
+
+def test_diagonal_leaves_the_larger_smallest_angle_and_does_not_fold():
+    kite = torch.tensor([[0.0, 0, 0], [1, -0.2, 0], [2, 0, 0], [1, 0.2, 0]])
+    dart = torch.tensor([[0.0, 0, 0], [2, 0.1, 0], [0, 1, 0], [0.5, 0.5, 0]])  # Reflex at its last corner.
+    square = torch.tensor([[0.0, 0, 0], [1, 0, 0], [1, 1.001, 0], [0, 1, 0]])
+    quads = torch.arange(12).reshape(3, 4)
+    triangles, second = diagonal_split(torch.cat([kite, dart, square]), quads)
+    assert second.tolist() == [True, True, False]
+    assert triangles.tolist() == [
+        [[0, 1, 3], [1, 2, 3]],
+        [[4, 5, 7], [5, 6, 7]],
+        [[8, 9, 10], [8, 10, 11]],
+    ]

@@ -1,11 +1,23 @@
 """Slot ``field``: a signed distance function with parameters."""
 
 from abc import ABC, abstractmethod
+from dataclasses import dataclass
 
 from jaxtyping import Float
 from torch import Tensor, nn
 
 from sculpt_framework.types import FieldSample
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ParameterGroup:
+    """Parameters that Adam moves at one rate."""
+
+    parameters: list[nn.Parameter]
+    rate: float
+    """In training, before the trainer's schedule."""
+    fit_rate: float
+    """At the start of fitting the field to the initial surface, which is far away and known exactly."""
 
 
 class Field(nn.Module, ABC):
@@ -21,8 +33,8 @@ class Field(nn.Module, ABC):
         """Signed distance and features at points of the object frame."""
 
     @abstractmethod
-    def optimizer_groups(self) -> list[dict]:
-        """Parameter groups for Adam, each with ``params`` and its own ``lr`` (before the trainer's schedule)."""
+    def parameter_groups(self) -> list[ParameterGroup]:
+        """All parameters, each in one group."""
 
     @abstractmethod
     def set_detail(self, cell_size: float) -> None:

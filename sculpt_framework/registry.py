@@ -13,8 +13,6 @@ from dataclasses import dataclass, is_dataclass
 from importlib.metadata import EntryPoint, distributions
 from typing import cast, get_type_hints
 
-from sculpt_plugins.builtin import BUILTIN, METHODS
-
 from sculpt_framework.config import (
     AppearanceConfig,
     BinderConfig,
@@ -30,6 +28,7 @@ from sculpt_framework.config import (
     RasterizerConfig,
 )
 from sculpt_framework.errors import ComponentImportError, ConfigError, UnknownComponentError
+from sculpt_plugins.builtin import BUILTIN, METHODS
 
 OWN_PACKAGE = "gaussian-sculpting"
 GROUPS = "sculpt_framework"

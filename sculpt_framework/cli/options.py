@@ -36,7 +36,8 @@ def apply_words(config: MethodConfig, words: Sequence[str], program: str, descri
         prog=program,
         description=description,
         return_unknown_args=True,
-        config=(tyro.conf.HelptextFromCommentsOff,),  # docstrings alone are help
+        # Docstrings alone are help; a field that may be one of several dataclasses stays what it is.
+        config=(tyro.conf.HelptextFromCommentsOff, tyro.conf.AvoidSubcommands),
     )
     if unknown:
         raise ConfigError(_explain_unknown(unknown[0], config))

@@ -15,6 +15,7 @@ from sculpt_framework.demo_scenes.objects import DemoObject
 from sculpt_framework.types import Camera
 
 Distance = Callable[[Points], Values]
+Origin = Float[np.ndarray, " 3"]
 
 BOUND = 1.02
 """Objects lie within this distance of the origin."""
@@ -49,7 +50,7 @@ def render(item: DemoObject, camera: Camera) -> tuple[Float[np.ndarray, "h w 3"]
 
 
 def trace(
-    distance: Distance, origin: Float[np.ndarray, " 3"], directions: Points, start: Values, spread: float = 0.0
+    distance: Distance, origin: Origin, directions: Points, start: Values, spread: float = 0.0
 ) -> tuple[Values, Values]:
     """Walk along unit rays from the distances ``start``: distance to the surface, and how far a cone around is clear.
 
@@ -85,7 +86,7 @@ def trace(
     return depth, clear
 
 
-def _bisect(distance: Distance, origin: Float[np.ndarray, " 3"], ray: Points, before: Values, after: Values) -> Values:
+def _bisect(distance: Distance, origin: Origin, ray: Points, before: Values, after: Values) -> Values:
     """Where rays enter, between a point outside and one inside."""
     for _ in range(_HALVINGS):
         middle = 0.5 * (before + after)
@@ -111,11 +112,11 @@ def surface_color(item: DemoObject, points: Points) -> Float[np.ndarray, "n 3"]:
     return np.ascontiguousarray((item.texture(points) * light).T)
 
 
-def _shade(item: DemoObject, origin: Values, directions: Points, depth: Values) -> Float[np.ndarray, "n 3"]:
+def _shade(item: DemoObject, origin: Origin, directions: Points, depth: Values) -> Float[np.ndarray, "n 3"]:
     return surface_color(item, origin[:, None] + depth * directions)
 
 
-def _rays(camera: Camera, columns: Values, rows: Values) -> tuple[Float[np.ndarray, " 3"], Points]:
+def _rays(camera: Camera, columns: Values, rows: Values) -> tuple[Origin, Points]:
     """Origin and unit directions in world of rays through image points, in pixels."""
     rotation = camera.world_to_camera[:3, :3].numpy().astype(np.float32)
     local = np.stack([(columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, np.ones_like(rows)])

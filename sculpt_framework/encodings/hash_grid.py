@@ -1,8 +1,10 @@
 """Features on a pyramid of grids, fine ones hashed into tables (Müller et al. 2022)."""
 
+import numpy as np
 import torch
 from jaxtyping import Float, Int64
 from torch import Tensor, nn
+from torch.autograd.function import once_differentiable
 
 PRIMES = (1, 2654435761, 805459861)
 """Factors of a corner's indices in the hash, of which the low bits count."""
@@ -51,9 +53,50 @@ class HashEncoding(nn.Module):
         active = len(self.resolutions) if active_levels is None else active_levels
         if not 0 <= active <= len(self.resolutions):
             raise ValueError(f"{active} active levels of a hash grid that has {len(self.resolutions)}")
-        encoded = encode_in_torch(points, list(self.tables)[:active], self.resolutions[:active])
+        tables, resolutions = list(self.tables)[:active], self.resolutions[:active]
+        if active and points.device.type == "cpu" and points.dtype == tables[0].dtype == torch.float32:
+            encoded = _FusedEncoding.apply(points, resolutions, *tables)
+        else:
+            encoded = encode_in_torch(points, tables, resolutions)
         idle = (len(self.resolutions) - active) * self.features_per_level
         return torch.cat([encoded, encoded.new_zeros(points.shape[0], idle)], dim=1) if idle else encoded
+
+
+class _FusedEncoding(torch.autograd.Function):
+    """``encode_in_torch`` for float32 on the CPU, in fused kernels. Not differentiable twice."""
+
+    @staticmethod
+    def forward(ctx, points: Tensor, resolutions: tuple[int, ...], *tables: Tensor) -> Tensor:
+        from sculpt_framework.encodings.hash_grid_numba import encode_forward
+
+        ctx.resolutions = resolutions
+        ctx.save_for_backward(points, *tables)
+        out = torch.empty(points.shape[0], sum(table.shape[1] for table in tables))
+        arrays = tuple(table.detach().numpy() for table in tables)
+        encode_forward(points.detach().contiguous().numpy(), arrays, np.array(resolutions), out.numpy())
+        return out
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx, grad_out: Tensor) -> tuple[Tensor | None, ...]:
+        from sculpt_framework.encodings.hash_grid_numba import encode_backward, encode_backward_points
+
+        points, *tables = ctx.saved_tensors
+        where, gradient = points.detach().contiguous().numpy(), grad_out.contiguous().numpy()
+        resolutions = np.array(ctx.resolutions)
+        grad_points = None
+        if ctx.needs_input_grad[0]:
+            grad_points = torch.empty_like(points)
+            arrays = tuple(table.detach().numpy() for table in tables)
+            encode_backward_points(where, arrays, resolutions, gradient, grad_points.numpy())
+        grad_tables: list[Tensor | None] = [None] * len(tables)
+        if any(ctx.needs_input_grad[2:]):
+            grads = [torch.zeros_like(table) for table in tables]
+            entries = np.array([table.shape[0] for table in tables])
+            arrays = tuple(grad.numpy() for grad in grads)
+            encode_backward(where, resolutions, entries, tables[0].shape[1], gradient, arrays)
+            grad_tables = list(grads)
+        return grad_points, None, *grad_tables
 
 
 def encode_in_torch(

@@ -3,6 +3,7 @@
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.nn import functional
 
 from sculpt_framework.extractors import SdfFunction
 from sculpt_framework.fields import Field
@@ -21,6 +22,20 @@ def tabulate(target: SdfFunction, grid: Grid, device: torch.device) -> tuple[Flo
     return points, torch.cat([target(chunk) for chunk in points.split(1 << 17)])
 
 
+def interpolate(
+    values: Float[Tensor, " m"], grid: Grid, points: Float[Tensor, "n 3"]
+) -> Float[Tensor, " n"]:
+    """Trilinear interpolation of values at the grid's corners; points outside take the nearest wall's."""
+    x, y, z = grid.shape
+    volume = values.reshape(1, 1, x + 1, y + 1, z + 1)
+    origin = torch.tensor(grid.origin, device=points.device, dtype=points.dtype)
+    shape = torch.tensor(grid.shape, device=points.device, dtype=points.dtype)
+    unit = 2 * (points - origin) / (grid.cell * shape) - 1
+    # grid_sample wants coordinates in the reverse order of the volume's axes.
+    where = unit.flip(1)[None, None, None]
+    return functional.grid_sample(volume, where, mode="bilinear", padding_mode="border", align_corners=True)[0, 0, 0, 0]
+
+
 def fit_field(
     field: Field,
     target: SdfFunction,
@@ -32,31 +47,32 @@ def fit_field(
 ) -> float:
     """Regress the field to the target by Adam; returns the mean absolute error near the surface, in object units.
 
-    The target is evaluated once, at the corners of ``grid``, which are the samples. Half of each batch lies within 2.5
-    cells of the surface.
+    The target is evaluated once, at the corners of ``grid``, and interpolated from there at random points, so that a
+    field finer than the grid has no corner left untouched. Half of each batch lies within 2.5 cells of the surface.
     """
     points, values = tabulate(target, grid, device)
     values = values.clamp(-_TRUNCATION, _TRUNCATION)
     near = (values.abs() < 2.5 * grid.cell).nonzero()[:, 0]
     if len(near) == 0:
         near = values.abs().topk(min(1000, len(values)), largest=False).indices
-    groups = field.optimizer_groups()
-    optimizer = torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15, fused=True)
-    rates = [5.0 * group["lr"] for group in groups]
+    groups = field.parameter_groups()
+    optimizer = torch.optim.Adam([{"params": g.parameters} for g in groups], betas=(0.9, 0.99), eps=1e-15, fused=True)
+    rates = [group.fit_rate for group in groups]
+    half = _SAMPLES // 2
     error = float("nan")
     for step in range(steps):
         for group, rate in zip(optimizer.param_groups, rates, strict=True):
             group["lr"] = rate * 0.02 ** (step / max(1, steps - 1))
-        anywhere = torch.randint(len(points), (_SAMPLES // 2,), generator=generator).to(device)
-        close = near[torch.randint(len(near), (_SAMPLES // 2,), generator=generator).to(device)]
-        chosen = torch.cat([anywhere, close])
-        wanted = values[chosen]
-        sdf = field(points[chosen]).sdf
+        anywhere = torch.randint(len(points), (half,), generator=generator).to(device)
+        close = near[torch.randint(len(near), (half,), generator=generator).to(device)]
+        jitter = (torch.rand(2 * half, 3, generator=generator) - 0.5).to(points) * grid.cell
+        where = points[torch.cat([anywhere, close])] + jitter
+        wanted = interpolate(values, grid, where)
+        sdf = field(where).sdf
         # Where the target is cut, the field may say anything beyond the cut of the right sign.
-        residual = torch.where(
-            wanted.abs() >= _TRUNCATION, (_TRUNCATION - sdf * wanted.sign()).clamp(min=0), (sdf - wanted).abs()
-        )
-        error = float(residual[_SAMPLES // 2 :].detach().mean())
+        cut = wanted.abs() >= 0.999 * _TRUNCATION
+        residual = torch.where(cut, (_TRUNCATION - sdf * wanted.sign()).clamp(min=0), (sdf - wanted).abs())
+        error = float(residual[half:].detach().mean())
         optimizer.zero_grad()
         residual.mean().backward()
         optimizer.step()

@@ -78,12 +78,13 @@ class BiLevelTrainer:
         self.field = field
         self.extractor = extractor
         self.scene = scene
-        self.optimizer = torch.optim.Adam(field.optimizer_groups(), betas=(0.9, 0.99), eps=1e-15, fused=True)
+        groups = field.parameter_groups()
+        self.optimizer = torch.optim.Adam([{"params": g.parameters} for g in groups], betas=(0.9, 0.99), eps=1e-15, fused=True)
         self.seeds: Int64[Tensor, " s"] | None = None
         """Cells the surface was in after the latest extraction."""
         self.extraction: Extraction | None = None
         self.inner_total = 0
-        self._field_rates = [group["lr"] for group in self.optimizer.param_groups]
+        self._field_rates = [group.rate for group in groups]
         self._rasterizer = rasterizer
         self._objectives = objectives
         self._config = config

@@ -7,8 +7,8 @@ from html import escape
 
 from sculpt_framework.evaluation.triangle_quality import Histogram
 
-WIDTH, HEIGHT = 460, 290
-_LEFT, _RIGHT, _TOP, _BOTTOM = 68, 14, 58, 48
+WIDTH, HEIGHT = 460.0, 290.0
+_LEFT, _RIGHT, _TOP, _BOTTOM = 68.0, 14.0, 58.0, 48.0
 _COLORS = ("#1f6fb4", "#c8553d", "#3a8f5c", "#8a5fb0")
 """Told apart in the common kinds of colour blindness, and dark enough on white."""
 _INK, _MUTED, _GRID = "#222", "#666", "#e4e4e4"
@@ -137,7 +137,7 @@ def _scale(values: Sequence[float], axis: Axis, start: float, end: float) -> _Sc
 def _frame(title: str, across: _Scale, up: _Scale, x: Axis, y: Axis) -> list[str]:
     """Title, grid lines, tick labels and axis labels."""
     bottom, right = HEIGHT - _BOTTOM, WIDTH - _RIGHT
-    parts = [_text(_LEFT, 20, title, size=15, weight="600")]
+    parts = [_text(_LEFT, 20.0, title, size=15, weight="600")]
     for tick in across.ticks():
         parts.append(_line(across(tick), _TOP, across(tick), bottom, _GRID))
         parts.append(_text(across(tick), bottom + 17, number(tick), anchor="middle", color=_MUTED))
@@ -145,18 +145,18 @@ def _frame(title: str, across: _Scale, up: _Scale, x: Axis, y: Axis) -> list[str
         parts.append(_line(_LEFT, up(tick), right, up(tick), _GRID))
         parts.append(_text(_LEFT - 7, up(tick) + 4, number(tick), anchor="end", color=_MUTED))
     parts.append(_line(_LEFT, bottom, right, bottom, _MUTED))
-    parts.append(_text((_LEFT + right) / 2, HEIGHT - 8, x.label, anchor="middle"))
+    parts.append(_text((_LEFT + right) / 2, HEIGHT - 8.0, x.label, anchor="middle"))
     middle = (_TOP + bottom) / 2
-    label = _text(0, 0, y.label, anchor="middle")
+    label = _text(0.0, 0.0, y.label, anchor="middle")
     return [*parts, f'<g transform="translate(13 {middle:.0f}) rotate(-90)">{label}</g>']
 
 
 def _legend(names: Sequence[str]) -> list[str]:
     """Swatches and names in one row between title and plot, spaced by the length of the names."""
-    parts, left = [], float(_LEFT)
+    parts, left = [], _LEFT
     for name, color in zip(names, _COLORS, strict=False):
         parts.append(f'<rect x="{left:.0f}" y="33" width="14" height="4" fill="{color}"/>')
-        parts.append(_text(left + 19, 39, name))
+        parts.append(_text(left + 19, 39.0, name))
         left += 19 + 7.2 * len(name) + 14
     return parts
 
@@ -176,6 +176,6 @@ def _text(
 
 def _svg(title: str, parts: Sequence[str]) -> str:
     return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {HEIGHT}" role="img"'
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH:.0f} {HEIGHT:.0f}" role="img"'
         f' aria-label="{escape(title)}" font-family="{_FONT}">{"".join(parts)}</svg>'
     )

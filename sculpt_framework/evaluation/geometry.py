@@ -55,10 +55,11 @@ class ChamferResult:
     accuracy: float
     completeness: float
     point_to_surface_squared: float
-    point_to_point: float
-    point_to_point_accuracy: float
-    point_to_point_completeness: float
-    point_to_point_squared: float
+    point_to_point: float | None
+    """This and its companions are None where they were not asked for."""
+    point_to_point_accuracy: float | None
+    point_to_point_completeness: float | None
+    point_to_point_squared: float | None
     normal_consistency: float
     """Mean over both directions of |n(sample) . n(nearest point)|, 1 is best; blind to orientation by intent."""
     fscore_relative: Mapping[float, float]
@@ -67,7 +68,7 @@ class ChamferResult:
     fscore_absolute: Mapping[float, float]
     """The same per threshold in scene units."""
     point_to_surface_error: float
-    """Standard error of ``point_to_surface`` from sampling."""
+    """Standard error of ``point_to_surface`` from sampling, an upper estimate."""
     point_to_point_floor: float
     """What ``point_to_point`` is, about, between two samplings of the reference itself."""
     reference_diagonal: float
@@ -142,85 +143,87 @@ class MeasuredMesh:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _OneWay:
-    """From the samples of one surface to the other: distances to surface and to samples, agreement of normals."""
+    """From the samples of one surface to the other: distances to the surface, agreement of normals, and distances to
+    its samples where they were asked for."""
 
-    squared: Float64[np.ndarray, " n"]
-    to_samples: Float64[np.ndarray, " n"]
+    distance: Float64[np.ndarray, " n"]
     cosine: Float64[np.ndarray, " n"]
-
-    @cached_property
-    def distance(self) -> Float64[np.ndarray, " n"]:
-        return np.sqrt(self.squared)
+    to_samples: Float64[np.ndarray, " n"] | None
 
 
-def _one_way(source: MeasuredMesh, target: MeasuredMesh) -> _OneWay:
-    squared, face = target.squared_distances(source.samples.points)
-    cosine = np.abs(np.sum(source.samples.normals * target.unit_normals(face), axis=1))
-    return _OneWay(squared=squared, to_samples=target.sample_distances(source.samples.points), cosine=cosine)
+def _one_way(source: MeasuredMesh, target: MeasuredMesh, point_to_point: bool) -> _OneWay:
+    points = source.samples.points
+    squared, face = target.squared_distances(points)
+    return _OneWay(
+        distance=np.sqrt(squared),
+        cosine=np.abs(np.sum(source.samples.normals * target.unit_normals(face), axis=1)),
+        to_samples=target.sample_distances(points) if point_to_point else None,
+    )
 
 
-def chamfer(result: Mesh, reference: Mesh | MeasuredMesh, *, samples: int = 200_000, seed: int = 0) -> ChamferResult:
+def chamfer(
+    result: Mesh,
+    reference: Mesh | MeasuredMesh,
+    *,
+    samples: int = 200_000,
+    seed: int = 0,
+    point_to_point: bool = True,
+) -> ChamferResult:
     """Measure ``result`` against ``reference``; both in the same frame and units.
 
     ``reference`` may be prepared once as a ``MeasuredMesh`` and used for many results; its own samples are then used,
     and ``samples`` should be their number. Two surfaces never share random numbers: the result is sampled with
-    ``seed + 1``, so that comparing a mesh with itself shows the true floor of the point-to-point variants.
+    ``seed + 1``, so that comparing a mesh with itself shows the true floor of the point-to-point variants. Those can be
+    left out: they take seconds where many samples are about as far as the nearest, as seen from inside a sphere.
 
     A result without area gives infinite distances and scores of 0. Raises ValueError if the reference has no area.
     """
     if not isinstance(reference, MeasuredMesh):
         reference = MeasuredMesh(reference, samples, seed)
-    diagonal = reference.mesh.diagonal
-    floor = 0.5 * (reference.area / len(reference.samples.points)) ** 0.5
     if not result.areas.sum() > 0:
-        return _nothing_to_measure(diagonal, floor, samples)
+        nowhere, never = np.array([np.inf]), np.zeros(1)
+        way = _OneWay(distance=nowhere, cosine=never, to_samples=nowhere if point_to_point else None)
+        return _summary(way, way, reference, samples)
     measured = MeasuredMesh(result, samples, seed + 1)
-    forward, backward = _one_way(measured, reference), _one_way(reference, measured)
+    there, back = _one_way(measured, reference, point_to_point), _one_way(reference, measured, point_to_point)
+    return _summary(there, back, reference, samples)
 
-    def mean(values: np.ndarray) -> float:
-        return float(np.mean(values))
+
+def _summary(there: _OneWay, back: _OneWay, reference: MeasuredMesh, samples: int) -> ChamferResult:
+    """Means over both directions; ``there`` is from the result to the reference."""
+    diagonal = reference.mesh.diagonal
 
     def score(threshold: float) -> float:
-        precision, recall = mean(forward.distance < threshold), mean(backward.distance < threshold)
-        return 2 * precision * recall / (precision + recall) if precision + recall > 0 else 0.0
+        precision, recall = np.mean(there.distance < threshold), np.mean(back.distance < threshold)
+        return float(2 * precision * recall / (precision + recall)) if precision + recall > 0 else 0.0
 
-    accuracy, completeness = mean(forward.distance), mean(backward.distance)
-    accuracy_pp, completeness_pp = mean(forward.to_samples), mean(backward.to_samples)
-    variance = np.var(forward.distance) / len(forward.distance) + np.var(backward.distance) / len(backward.distance)
+    accuracy, completeness = float(there.distance.mean()), float(back.distance.mean())
+    accuracy_pp = completeness_pp = point_to_point = point_to_point_squared = None
+    if there.to_samples is not None and back.to_samples is not None:
+        accuracy_pp, completeness_pp = float(there.to_samples.mean()), float(back.to_samples.mean())
+        point_to_point = 0.5 * (accuracy_pp + completeness_pp)
+        point_to_point_squared = 0.5 * float(np.mean(there.to_samples**2) + np.mean(back.to_samples**2))
     return ChamferResult(
         point_to_surface=0.5 * (accuracy + completeness),
         accuracy=accuracy,
         completeness=completeness,
-        point_to_surface_squared=0.5 * (mean(forward.squared) + mean(backward.squared)),
-        point_to_point=0.5 * (accuracy_pp + completeness_pp),
+        point_to_surface_squared=0.5 * float(np.mean(there.distance**2) + np.mean(back.distance**2)),
+        point_to_point=point_to_point,
         point_to_point_accuracy=accuracy_pp,
         point_to_point_completeness=completeness_pp,
-        point_to_point_squared=0.5 * (mean(forward.to_samples**2) + mean(backward.to_samples**2)),
-        normal_consistency=0.5 * (mean(forward.cosine) + mean(backward.cosine)),
+        point_to_point_squared=point_to_point_squared,
+        normal_consistency=0.5 * float(there.cosine.mean() + back.cosine.mean()),
         fscore_relative={share: score(share * diagonal) for share in RELATIVE_THRESHOLDS},
         fscore_absolute={threshold: score(threshold) for threshold in ABSOLUTE_THRESHOLDS},
-        point_to_surface_error=0.5 * float(variance) ** 0.5,
-        point_to_point_floor=floor,
+        point_to_surface_error=0.5 * (_variance_of_mean(there) + _variance_of_mean(back)) ** 0.5,
+        point_to_point_floor=0.5 * (reference.area / len(reference.samples.points)) ** 0.5,
         reference_diagonal=diagonal,
         samples=samples,
     )
 
 
-def _nothing_to_measure(diagonal: float, floor: float, samples: int) -> ChamferResult:
-    return ChamferResult(
-        point_to_surface=np.inf,
-        accuracy=np.inf,
-        completeness=np.inf,
-        point_to_surface_squared=np.inf,
-        point_to_point=np.inf,
-        point_to_point_accuracy=np.inf,
-        point_to_point_completeness=np.inf,
-        point_to_point_squared=np.inf,
-        normal_consistency=0.0,
-        fscore_relative=dict.fromkeys(RELATIVE_THRESHOLDS, 0.0),
-        fscore_absolute=dict.fromkeys(ABSOLUTE_THRESHOLDS, 0.0),
-        point_to_surface_error=np.inf,
-        point_to_point_floor=floor,
-        reference_diagonal=diagonal,
-        samples=samples,
-    )
+def _variance_of_mean(way: _OneWay) -> float:
+    """Of independent draws; stratified ones, as ours, vary a little less. Infinite where distances are."""
+    if not np.isfinite(way.distance).all():
+        return np.inf
+    return float(np.var(way.distance)) / len(way.distance)

@@ -40,7 +40,7 @@ def mesh_report_lines(report: Mapping[str, Any]) -> list[str]:
             "  its sampling floor": "point_to_point_floor",
             "normal consistency": "normal_consistency",
         }
-        lines += [f"{label:<34}{distances[key]:.5g}" for label, key in rows.items()]
+        lines += [f"{label:<34}{distances[key]:.5g}" for label, key in rows.items() if distances[key] is not None]
         for kind, unit in (("relative", "of the diagonal"), ("absolute", "scene units")):
             for threshold, score in distances[f"fscore_{kind}"].items():
                 lines.append(f"{f'F-score at {threshold:g} {unit}':<34}{score:.4f}")

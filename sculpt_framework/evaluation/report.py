@@ -121,7 +121,8 @@ def _milestones(milestones: Sequence[Facts]) -> str:
 
 def _pictures(pictures: Mapping[str, Picture]) -> str:
     figures = [
-        f'<figure><img src="{png_data_uri(picture)}" alt="{escape(name)}"><figcaption>{escape(name)}</figcaption></figure>'
+        f'<figure><img src="{png_data_uri(picture)}" alt="{escape(name)}">'
+        f"<figcaption>{escape(name)}</figcaption></figure>"
         for name, picture in pictures.items()
     ]
     return f'<div class="pictures">{"".join(figures)}</div>' if figures else ""

@@ -141,14 +141,14 @@ def _outline(view: View) -> _Outline:
 def _looked_at(outlines: Sequence[_Outline]) -> tuple[Float[np.ndarray, " 3"], float]:
     """The point nearest to the axes through the masks, and the median distance of the cameras from it.
 
-    Along an axis two views or one say little; there the point nearest to the world's origin is taken, which is where
-    objects are usually put, if it is in front of the cameras.
+    One view, or parallel ones, leave the depth open; there the point nearest to the world's origin is taken, which is
+    where objects are usually put, if it is in front of the cameras.
     """
     projections = [np.eye(3) - np.outer(o.axis, o.axis) for o in outlines]
-    normal = sum(projections)
+    normal = np.sum(projections, axis=0)
     target = sum((p @ o.position for p, o in zip(projections, outlines, strict=True)), np.zeros(3))
-    pull = 1e-4 * len(outlines)
-    point = np.linalg.solve(normal + pull * np.eye(3), target)
+    # The least of all solutions where there are many: axes within a degree of each other count as parallel.
+    point = np.linalg.lstsq(normal, target, rcond=1e-4)[0]
     distances = [float((point - o.position) @ o.axis) for o in outlines]
     if min(distances) <= 0:
         norm = float(np.mean([np.linalg.norm(o.position) for o in outlines])) or 1.0

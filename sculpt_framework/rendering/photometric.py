@@ -1,8 +1,10 @@
 """The colour loss of 3DGS: L1 and D-SSIM."""
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 from torch.nn import functional
 
 WINDOW = 11
@@ -21,7 +23,40 @@ def l1_dssim(
     SSIM with an 11x11 Gaussian window of sigma 1.5 and zeros around the image, as in 3DGS. float32 on the CPU runs in
     compiled kernels that give the value and its gradient by ``image`` in one go; anything else runs in torch.
     """
+    fused = image.device.type == "cpu" and image.dtype == target.dtype == torch.float32 and not target.requires_grad
+    if fused:
+        return _FusedL1DSsim.apply(image, target, weight_dssim)
     return l1_dssim_in_torch(image, target, weight_dssim)
+
+
+class _FusedL1DSsim(torch.autograd.Function):
+    """``l1_dssim_in_torch`` for float32 on the CPU; the target gets no gradient, and there is no second derivative."""
+
+    @staticmethod
+    def forward(ctx, image: Tensor, target: Tensor, weight_dssim: float) -> Tensor:
+        from sculpt_framework.rendering.photometric_numba import gradient, similarity
+
+        height, width, channels = image.shape
+        x = image.detach().contiguous().numpy().reshape(height, width * channels)
+        y = target.detach().contiguous().numpy().reshape(height, width * channels)
+        window = _window(torch.float32, image.device).numpy()
+        partials = np.empty((3, height, width * channels), np.float32)
+        row_ssim, row_l1 = np.zeros(height, np.float32), np.zeros(height, np.float32)
+        similarity(x, y, channels, window, partials, row_ssim, row_l1)
+        l1_weight, ssim_weight = (1.0 - weight_dssim) / x.size, -weight_dssim / x.size
+        if ctx.needs_input_grad[0]:
+            slope = torch.empty_like(image, memory_format=torch.contiguous_format)
+            flat = slope.numpy().reshape(x.shape)
+            gradient(x, y, channels, window, partials, np.float32(l1_weight), np.float32(ssim_weight), flat)
+            ctx.save_for_backward(slope)
+        value = l1_weight * float(row_l1.sum(dtype=np.float64)) + weight_dssim
+        return image.new_tensor(value + ssim_weight * float(row_ssim.sum(dtype=np.float64)))
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx, grad_value: Tensor) -> tuple[Tensor | None, ...]:
+        (slope,) = ctx.saved_tensors
+        return grad_value * slope, None, None
 
 
 def l1_dssim_in_torch(
@@ -45,10 +80,14 @@ def ssim(image: Float[Tensor, "h w c"], target: Float[Tensor, "h w c"]) -> Float
 
 def _blur(stack: Float[Tensor, "s c h w"]) -> Float[Tensor, "s c h w"]:
     """The Gaussian window over each image, one axis after the other, zeros outside."""
-    offset = torch.arange(WINDOW, dtype=stack.dtype, device=stack.device) - WINDOW // 2
-    window = torch.exp(-offset * offset / (2.0 * SIGMA * SIGMA))
-    window = window / window.sum()
+    window = _window(stack.dtype, stack.device)
     planes = stack.reshape(-1, 1, *stack.shape[2:])
     planes = functional.conv2d(planes, window[None, None, None, :], padding=(0, WINDOW // 2))
     planes = functional.conv2d(planes, window[None, None, :, None], padding=(WINDOW // 2, 0))
     return planes.reshape(stack.shape)
+
+
+def _window(dtype: torch.dtype, device: torch.device) -> Float[Tensor, " taps"]:
+    offset = torch.arange(WINDOW, dtype=dtype, device=device) - WINDOW // 2
+    window = torch.exp(-offset * offset / (2.0 * SIGMA * SIGMA))
+    return window / window.sum()

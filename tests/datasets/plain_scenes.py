@@ -7,10 +7,10 @@ from typing import Any
 
 import cv2
 import numpy as np
-from sculpt_plugins.datasets.blender.config import BlenderConfig
 
 from sculpt_framework.demo_scenes.cameras import FIELD_OF_VIEW, demo_cameras
 from sculpt_framework.types import Scene
+from sculpt_plugins.datasets.blender.config import BlenderConfig
 
 SIDE = 40
 RADIUS = 0.8

@@ -51,7 +51,7 @@ def _image_bytes(change: Callable[[bytes], bytes]) -> Spoil:
     return spoil
 
 
-def _set(where: object, value: float) -> Callable[[np.ndarray], object]:
+def _set(where: tuple[int, int], value: float) -> Callable[[np.ndarray], object]:
     return lambda matrix: matrix.__setitem__(where, value)
 
 
@@ -89,7 +89,10 @@ CASES: dict[str, tuple[Spoil, str]] = {
     "width negative": (_document("w", -40), r"w is -40; expected pixels"),
     "size of another shape": (lambda f: (_document("w", 80)(f), _document("h", 40)(f)), r"is 40x40 but .* is 80x40"),
     "distortion": (_document("k1", 0.1), r"k1 is not 0; this layout has pinhole cameras only"),
-    "no frames key": (lambda f: edit_transforms(f, lambda d: _without(d, "frames")), r"no 'frames'; found camera_angle"),
+    "no frames key": (
+        lambda f: edit_transforms(f, lambda d: _without(d, "frames")),
+        r"no 'frames'; found camera_angle",
+    ),
     "misspelt frames": (_renamed("frames", "frame"), r"no 'frames'; did you mean it by 'frame'\?"),
     "frames empty": (_document("frames", []), r"'frames' is empty; expected one object per image"),
     "frames no list": (_document("frames", {"a": 1}), r"'frames' is not a list"),

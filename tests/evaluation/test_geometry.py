@@ -144,6 +144,24 @@ def test_a_prepared_reference_gives_the_same_figures():
     assert chamfer(torus(0.4), prepared, samples=5000) == chamfer(torus(0.4), sphere(), samples=5000)
 
 
+def test_point_to_point_can_be_left_out():
+    result, reference = torus(0.4), sphere()
+    whole, part = (chamfer(result, reference, samples=2000, point_to_point=asked) for asked in (True, False))
+    assert part.point_to_point is None
+    assert part.point_to_surface == whole.point_to_surface
+
+
+def test_point_to_point_agrees_with_brute_force():
+    result, reference = sphere(1.3, 2), torus(0.4)
+    measured = chamfer(result, reference, samples=1000)
+    ours, theirs = sample_surface(result, 1000, 1).points, sample_surface(reference, 1000, 0).points
+    pairs = np.linalg.norm(ours[:, None] - theirs[None], axis=2)
+    assert measured.point_to_point_accuracy == pytest.approx(pairs.min(1).mean(), rel=1e-9)
+    assert measured.point_to_point_completeness == pytest.approx(pairs.min(0).mean(), rel=1e-9)
+    squares = 0.5 * ((pairs.min(1) ** 2).mean() + (pairs.min(0) ** 2).mean())
+    assert measured.point_to_point_squared == pytest.approx(squares, rel=1e-9)
+
+
 def test_the_stated_error_is_that_of_the_sampling():
     figures = [chamfer(torus(0.4), sphere(subdivisions=3), samples=2000, seed=10 * s) for s in range(20)]
     spread = np.std([figure.point_to_surface for figure in figures])

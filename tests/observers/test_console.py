@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 from rich.console import Console
+
+from sculpt_framework.engine.events import Event
 from sculpt_plugins.observers.console.config import ConsoleConfig
 from sculpt_plugins.observers.console.observer import ConsoleObserver
 from sculpt_plugins.observers.console.wording import count, duration, memory, message_text
-
-from sculpt_framework.engine.events import Event
 
 RUN_DIR = Path("outputs/jar/gaussian-sculpting/now")
 CERTIFICATE = {"watertight": True, "outward": True, "boundary_edges": 0, "components": 1, "genus": 0}

@@ -5,11 +5,11 @@ import math
 from pathlib import Path
 
 import pytest
-from sculpt_plugins.observers.recorder.config import RecorderConfig
 
 from sculpt_framework.engine.events import Event
 from sculpt_framework.errors import DataError, OutputError
 from sculpt_framework.evaluation.curve import CURVE_COLUMNS, header_line, read_curve, row_line
+from sculpt_plugins.observers.recorder.config import RecorderConfig
 
 COLUMNS = (
     "t_train_s,t_wall_s,t_cpu_s,outer,inner,faces,gaussians,grid,rss_mb,"

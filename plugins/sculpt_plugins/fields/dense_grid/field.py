@@ -5,7 +5,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from sculpt_framework.fields import Field
+from sculpt_framework.fields import Field, ParameterGroup
 from sculpt_framework.types import FieldSample
 from sculpt_plugins.fields.dense_grid.config import DenseGridFieldConfig
 
@@ -34,8 +34,8 @@ class DenseGridField(Field):
         beyond = torch.where(outside == 0, 0.0, outside.abs()).sum(dim=1)
         return FieldSample(sdf=sampled[:, 0] + beyond, features=sampled[:, 1:])
 
-    def optimizer_groups(self) -> list[dict]:
-        return [{"params": [self.values], "lr": self._config.learning_rate}]
+    def parameter_groups(self) -> list[ParameterGroup]:
+        return [ParameterGroup(parameters=[self.values], rate=self._config.learning_rate, fit_rate=0.03)]
 
     def set_detail(self, cell_size: float) -> None:
         """The grid's one resolution is always on."""

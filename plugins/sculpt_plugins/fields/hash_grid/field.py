@@ -5,7 +5,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from sculpt_framework.encodings.hash_grid import HashEncoding
-from sculpt_framework.fields import Field
+from sculpt_framework.fields import Field, ParameterGroup
 from sculpt_framework.types import FieldSample
 from sculpt_plugins.fields.hash_grid.config import HashGridFieldConfig
 
@@ -60,10 +60,11 @@ class HashGridField(Field):
         distance = (points.square().sum(dim=1) + 1e-12).sqrt()
         return FieldSample(sdf=distance - self._config.sphere_radius + correction, features=features)
 
-    def optimizer_groups(self) -> list[dict]:
-        groups = [{"params": list(self._encoding.parameters()), "lr": self._config.learning_rate}]
+    def parameter_groups(self) -> list[ParameterGroup]:
+        rate = self._config.learning_rate
+        groups = [ParameterGroup(parameters=list(self._encoding.parameters()), rate=rate, fit_rate=0.02)]
         if self._decoder is not None:
-            groups.append({"params": list(self._decoder.parameters()), "lr": self._config.learning_rate})
+            groups.append(ParameterGroup(parameters=list(self._decoder.parameters()), rate=rate, fit_rate=5e-3))
         return groups
 
     def set_detail(self, cell_size: float) -> None:

@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from torch.nn.utils.parametrizations import weight_norm
 
 from sculpt_framework.encodings.positional import positional_encoding
-from sculpt_framework.fields import Field
+from sculpt_framework.fields import Field, ParameterGroup
 from sculpt_framework.types import FieldSample
 from sculpt_plugins.fields.mlp.config import MlpFieldConfig
 
@@ -54,8 +54,8 @@ class MlpField(Field):
         out = self._last(hidden)
         return FieldSample(sdf=out[:, 0], features=out[:, 1:])
 
-    def optimizer_groups(self) -> list[dict]:
-        return [{"params": list(self.parameters()), "lr": self._config.learning_rate}]
+    def parameter_groups(self) -> list[ParameterGroup]:
+        return [ParameterGroup(parameters=list(self.parameters()), rate=self._config.learning_rate, fit_rate=1e-3)]
 
     def set_detail(self, cell_size: float) -> None:
         """An MLP has all its frequencies from the start: nothing to wake up."""

@@ -4,25 +4,22 @@ import math
 
 import numpy as np
 
-TILE_WIDTH = 8
-TILE_HEIGHT = 16
+BLOCK = 4
+"""Pixels along a block's side; a block's pixels fill one vector."""
+TILE = 16
+"""Pixels along a tile's side. A tile's blocks fill one vector, too, so that one test of a Gaussian finds them all."""
 LANES = 16
-"""Floats in a vector: two rows of a tile. Filling 16 lanes with two rows is what counts, not the tile's size."""
-BLOCK_ROWS = LANES // TILE_WIDTH
-BLOCKS = TILE_HEIGHT // BLOCK_ROWS
-"""Vectors in a tile; each is a block of two rows."""
-PIXELS = TILE_WIDTH * TILE_HEIGHT
+PIXELS = TILE * TILE
+"""Stored block by block: pixel 16 b + l is lane l of block b."""
 
-# A Gaussian's record, one cache line up to 7 features. With d = pixel - mean and u = SLANT dx + STEEP dy, the eighth
+# A Gaussian's record, one cache line up to 8 features. With d = pixel - mean and u = SLANT dx + STEEP dy, the eighth
 # part of log2(alpha) is LEVEL + CURVE dx^2 - u^2: a completed square, which cannot cancel to something positive.
 MEAN_X, MEAN_Y = 0, 1
 CURVE, SLANT, STEEP, LEVEL = 2, 3, 4, 5
 DEPTH = 6
-ROWS = 7
-"""First and last row of pixels it reaches, 16 bits each, in the float's bits."""
-SLOT = 8
+SLOT = 7
 """Gradient row in band 0 (see backward.py), an integer in the float's bits."""
-FEATURES = 9
+FEATURES = 8
 
 # A row of sums over pixels of s = alpha dL/dalpha and of the weights w.
 SUM_X, SUM_U, SUM_XX, SUM_XU, SUM_UU, SUM_ONE, SUM_DEPTH, SUM_FEATURES = range(8)

@@ -16,7 +16,6 @@ from .layout import (
     MEAN_X,
     MEAN_Y,
     NEAR,
-    ROWS,
     SLANT,
     STEEP,
     SUM_DEPTH,
@@ -27,8 +26,7 @@ from .layout import (
     SUM_X,
     SUM_XU,
     SUM_XX,
-    TILE_HEIGHT,
-    TILE_WIDTH,
+    TILE,
 )
 
 # No "nnan" and "ninf" here: what is not finite has to be seen.
@@ -103,11 +101,10 @@ def project(means, scales, rotations, opacities, features, pose, lens, width, he
         bottom_reach = min(math.floor(mean_y + reach_y - _HALF), bottom - _ONE)
         if right_reach < left_reach or bottom_reach < top_reach:
             continue
-        top, last = np.int32(top_reach), np.int32(bottom_reach)
-        tiles[i, 0] = np.int32(left_reach) // TILE_WIDTH
-        tiles[i, 1] = np.int32(right_reach) // TILE_WIDTH
-        tiles[i, 2] = top // TILE_HEIGHT
-        tiles[i, 3] = last // TILE_HEIGHT
+        tiles[i, 0] = np.int32(left_reach) // TILE
+        tiles[i, 1] = np.int32(right_reach) // TILE
+        tiles[i, 2] = np.int32(top_reach) // TILE
+        tiles[i, 3] = np.int32(bottom_reach) // TILE
         records[i, MEAN_X] = mean_x
         records[i, MEAN_Y] = mean_y
         records[i, CURVE] = curve
@@ -115,7 +112,6 @@ def project(means, scales, rotations, opacities, features, pose, lens, width, he
         records[i, STEEP] = steep
         records[i, LEVEL] = exponent * _OCTAVE_EIGHTH
         records[i, DEPTH] = depth
-        bits[i, ROWS] = top | (last << 16)
         for c in range(features.shape[1]):
             records[i, FEATURES + c] = features[i, c]
         keys[i] = bits[i, DEPTH]

@@ -107,11 +107,11 @@ class _Job:
 
     @property
     def tile_columns(self) -> int:
-        return -(-self.width // layout.TILE_WIDTH)
+        return -(-self.width // layout.TILE)
 
     @property
     def tile_rows(self) -> int:
-        return -(-self.height // layout.TILE_HEIGHT)
+        return -(-self.height // layout.TILE)
 
     @property
     def band_rows(self) -> int:
@@ -176,22 +176,23 @@ class _Rasterize(torch.autograd.Function):
         image = torch.empty(job.height, job.width, channels)
         alpha, depth = torch.empty(job.height, job.width), torch.empty(job.height, job.width)
         kept = scratch.take("kept", (starts.shape[0] - 1,), np.int32)
+        blocks = scratch.take("blocks", lists.shape, np.uint16)
         seen = scratch.take("seen", (count + 1,), np.uint8)
         seen[:] = 0
         forward.composite(
-            records.reshape(-1), bits.reshape(-1), lists, starts, job.width, job.height, job.threads,
+            records.reshape(-1), records.shape[1], lists, blocks, starts, job.width, job.height, job.threads,
             _array(background).reshape(-1), channels if background.ndim == 3 else 0, job.alpha_max,
             image.numpy(), alpha.numpy(), depth.numpy(), kept, seen, np.zeros(1, np.int64),
         )  # fmt: skip
         ctx.save_for_backward(means, scales, rotations, opacities, pose, image, alpha, depth)
-        ctx.job, ctx.kernel_state = job, (records, tiles, lists, starts, kept, seen)
+        ctx.job, ctx.kernel_state = job, (records, tiles, lists, blocks, starts, kept, seen)
         ctx.set_materialize_grads(False)
         return image, alpha, depth
 
     @staticmethod
     def backward(ctx, *gradients):  # pyright: ignore[reportIncompatibleMethodOverride]
         job: _Job = ctx.job
-        records, tiles, lists, starts, kept, seen = ctx.kernel_state
+        records, tiles, lists, blocks, starts, kept, seen = ctx.kernel_state
         means, scales, rotations, opacities, pose, *images = ctx.saved_tensors
         image, alpha, depth = (_array(tensor) for tensor in images)
         to_image, to_alpha, to_depth = gradients
@@ -206,9 +207,9 @@ class _Rasterize(torch.autograd.Function):
         np.cumsum(part_starts, out=part_starts)
         first_slot = scratch.take("first_slot", (count + 1,), np.int32)
         sums = scratch.take("sums", (int(part_starts[-1]), layout.sums_width(channels)), np.float32)
-        backward.assign_slots(seen, tiles, job.band_rows, part_starts, first_slot, bits, sums)
+        backward.assign_slots(seen, tiles, job.band_rows, part_starts, first_slot, bits, sums.reshape(-1))
         backward.composite_backward(
-            records.reshape(-1), bits, records.shape[1], lists, starts, kept, job.width, job.height, job.threads,
+            records.reshape(-1), bits, records.shape[1], lists, blocks, starts, kept, job.width, job.height, job.threads,
             job.band_rows, job.alpha_max, image, alpha, depth,
             np.zeros_like(image) if to_image is None else _array(to_image),
             np.zeros_like(alpha) if to_alpha is None else _array(to_alpha),

@@ -11,11 +11,12 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic, models, overload, register_model
 
-from .layout import LANES, TILE_WIDTH
+from .layout import BLOCK, LANES
 
 _FLOAT = ir.FloatType()
 _INT32 = ir.IntType(32)
 _VECTOR = ir.VectorType(_FLOAT, LANES)
+_WORDS = ir.VectorType(_INT32, LANES)
 _MASK_BITS = ir.IntType(LANES)
 _FAST = ("fast",)
 
@@ -44,8 +45,26 @@ def _as_vector(context, builder, value, kind):
     return builder.shuffle_vector(first, undefined, ir.Constant(ir.VectorType(_INT32, LANES), [0] * LANES))
 
 
-def _as_vectors(context, builder, values, signature):
-    return [_as_vector(context, builder, value, kind) for value, kind in zip(values, signature.args, strict=True)]
+def _as_vectors(context, builder, values, kinds):
+    return [_as_vector(context, builder, value, kind) for value, kind in zip(values, kinds, strict=True)]
+
+
+def _as_words(context, builder, value, kind):
+    """A vector of copies of an integer."""
+    value = context.cast(builder, value, kind, types.uint32)
+    undefined = ir.Constant(_WORDS, ir.Undefined)
+    first = builder.insert_element(undefined, value, ir.Constant(_INT32, 0))
+    return builder.shuffle_vector(first, undefined, ir.Constant(_WORDS, [0] * LANES))
+
+
+def _words_address(context, builder, array_kind, array):
+    return builder.bitcast(context.make_array(array_kind)(context, builder, array).data, _WORDS.as_pointer())
+
+
+def _load_words(builder, at):
+    words = builder.load(at)
+    words.align = 4
+    return words
 
 
 def _address(context, builder, array_kind, array, index, index_kind):
@@ -79,6 +98,17 @@ def store(typing, array, index, vector):
 
 
 @intrinsic
+def copies(typing, array, index):
+    """A vector of copies of one element of a flat array."""
+
+    def generate(context, builder, signature, arguments):
+        at = _address(context, builder, signature.args[0], arguments[0], arguments[1], signature.args[1])
+        return _as_vector(context, builder, builder.load(at), types.float32)
+
+    return VECTOR(array, index), generate
+
+
+@intrinsic
 def splat(typing, value):
     """A vector of copies."""
 
@@ -90,20 +120,20 @@ def splat(typing, value):
 
 @intrinsic
 def lane_column(typing):
-    """Column of each lane within the tile."""
+    """Column of each lane: of a pixel in its block, or of a block in its tile."""
 
     def generate(context, builder, signature, arguments):
-        return ir.Constant(_VECTOR, [float(lane % TILE_WIDTH) for lane in range(LANES)])
+        return ir.Constant(_VECTOR, [float(lane % BLOCK) for lane in range(LANES)])
 
     return VECTOR(), generate
 
 
 @intrinsic
 def lane_row(typing):
-    """Row of each lane within its block."""
+    """Row of each lane: of a pixel in its block, or of a block in its tile."""
 
     def generate(context, builder, signature, arguments):
-        return ir.Constant(_VECTOR, [float(lane // TILE_WIDTH) for lane in range(LANES)])
+        return ir.Constant(_VECTOR, [float(lane // BLOCK) for lane in range(LANES)])
 
     return VECTOR(), generate
 
@@ -113,7 +143,7 @@ def larger(typing, left, right):
     """Elementwise maximum."""
 
     def generate(context, builder, signature, arguments):
-        left, right = _as_vectors(context, builder, arguments, signature)
+        left, right = _as_vectors(context, builder, arguments, signature.args)
         return builder.select(builder.fcmp_ordered(">", left, right, flags=_FAST), left, right)
 
     return VECTOR(left, right), generate
@@ -124,7 +154,7 @@ def smaller(typing, left, right):
     """Elementwise minimum."""
 
     def generate(context, builder, signature, arguments):
-        left, right = _as_vectors(context, builder, arguments, signature)
+        left, right = _as_vectors(context, builder, arguments, signature.args)
         return builder.select(builder.fcmp_ordered("<", left, right, flags=_FAST), left, right)
 
     return VECTOR(left, right), generate
@@ -135,22 +165,79 @@ def where_at_least(typing, value, limit, chosen, other):
     """chosen where value >= limit, else other."""
 
     def generate(context, builder, signature, arguments):
-        value, limit, chosen, other = _as_vectors(context, builder, arguments, signature)
+        value, limit, chosen, other = _as_vectors(context, builder, arguments, signature.args)
         return builder.select(builder.fcmp_ordered(">=", value, limit), chosen, other)
 
     return VECTOR(value, limit, chosen, other), generate
 
 
 @intrinsic
-def any_at_least(typing, value, limit):
-    """Whether value >= limit in some lane."""
+def lanes_at_least(typing, value, limit):
+    """An integer with bit l set where value >= limit in lane l."""
 
     def generate(context, builder, signature, arguments):
-        value, limit = _as_vectors(context, builder, arguments, signature)
+        value, limit = _as_vectors(context, builder, arguments, signature.args)
         bits = builder.bitcast(builder.fcmp_ordered(">=", value, limit), _MASK_BITS)
-        return builder.icmp_unsigned("!=", bits, ir.Constant(_MASK_BITS, 0))
+        return builder.zext(bits, ir.IntType(64))
 
-    return types.boolean(value, limit), generate
+    return types.int64(value, limit), generate
+
+
+@intrinsic
+def mark_lanes(typing, marks, value, limit, bit):
+    """marks[l] |= bit where value >= limit in lane l, for a flat uint32 array; returns the lanes as an integer's bits."""
+
+    def generate(context, builder, signature, arguments):
+        value, limit = _as_vectors(context, builder, arguments[1:3], signature.args[1:3])
+        above = builder.fcmp_ordered(">=", value, limit)
+        bit = _as_words(context, builder, arguments[3], signature.args[3])
+        at = _words_address(context, builder, signature.args[0], arguments[0])
+        marked = builder.select(above, bit, ir.Constant(_WORDS, None))
+        store = builder.store(builder.or_(_load_words(builder, at), marked), at)
+        store.align = 4
+        return builder.zext(builder.bitcast(above, _MASK_BITS), ir.IntType(64))
+
+    return types.int64(marks, value, limit, bit), generate
+
+
+@intrinsic
+def marked_lanes(typing, marks, bit):
+    """The lanes l with marks[l] & bit as an integer's bits: mark_lanes the other way round."""
+
+    def generate(context, builder, signature, arguments):
+        bit = _as_words(context, builder, arguments[1], signature.args[1])
+        at = _words_address(context, builder, signature.args[0], arguments[0])
+        common = builder.and_(_load_words(builder, at), bit)
+        marked = builder.icmp_unsigned("!=", common, ir.Constant(_WORDS, None))
+        return builder.zext(builder.bitcast(marked, _MASK_BITS), ir.IntType(64))
+
+    return types.int64(marks, bit), generate
+
+
+@intrinsic
+def lowest_bit(typing, mask):
+    """Number of the lowest set bit of a positive int64."""
+
+    def generate(context, builder, signature, arguments):
+        wide = ir.IntType(64)
+        kind = ir.FunctionType(wide, [wide, ir.IntType(1)])
+        function = cgutils.get_or_insert_function(builder.module, kind, "llvm.cttz.i64")
+        mask = context.cast(builder, arguments[0], signature.args[0], types.int64)
+        return builder.call(function, [mask, ir.Constant(ir.IntType(1), 1)])
+
+    return types.int64(mask), generate
+
+
+@intrinsic
+def magnitude(typing, vector):
+    """Elementwise absolute value."""
+
+    def generate(context, builder, signature, arguments):
+        kind = ir.FunctionType(_VECTOR, [_VECTOR])
+        function = cgutils.get_or_insert_function(builder.module, kind, f"llvm.fabs.v{LANES}f32")
+        return builder.call(function, arguments)
+
+    return VECTOR(vector), generate
 
 
 def _shuffled_sum(builder, left, right, step):
@@ -196,7 +283,7 @@ def _define_operator(python_operator, instruction):
     @intrinsic
     def operate(typing, left, right):
         def generate(context, builder, signature, arguments):
-            left, right = _as_vectors(context, builder, arguments, signature)
+            left, right = _as_vectors(context, builder, arguments, signature.args)
             return getattr(builder, instruction)(left, right, flags=_FAST)
 
         return VECTOR(left, right), generate

@@ -1,0 +1,118 @@
+"""The report: one page, complete in itself, whatever of the run is there."""
+
+import json
+from dataclasses import asdict
+from html.parser import HTMLParser
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import trimesh
+
+from sculpt_framework.errors import DataError
+from sculpt_framework.evaluation.certificate import certify
+from sculpt_framework.evaluation.curve import header_line, row_line
+from sculpt_framework.evaluation.pictures import (
+    DIFFERENCE_SCALE,
+    color_picture,
+    difference_picture,
+    normal_picture,
+    png_data_uri,
+)
+from sculpt_framework.evaluation.report import write_report
+from sculpt_framework.export.mesh_files import write_mesh_ply
+
+
+class Page(HTMLParser):
+    """Tags with their attributes, and the text."""
+
+    def __init__(self, path: Path):
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.text = ""
+        self.feed(path.read_text(encoding="utf-8"))
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_data(self, data: str) -> None:
+        self.text += data + "\n"
+
+
+@pytest.fixture
+def run_dir(tmp_path: Path) -> Path:
+    shape = trimesh.creation.torus(1, 0.3)
+    vertices, faces = np.array(shape.vertices, float), np.array(shape.faces, np.int64)
+    write_mesh_ply(tmp_path / "mesh.ply", vertices, faces)
+    rows = [{"t_train_s": t, "chamfer_ps": 0.01 / t, "psnr": 20 + t, "iou": 0.9, "faces": 100} for t in (1, 2, 4)]
+    (tmp_path / "curve.csv").write_text(header_line() + "".join(map(row_line, rows)))
+    metrics = {
+        "status": "finished",
+        "scene": "jar <1>",
+        "method": "sculpting",
+        "seed": 3,
+        "final": {**rows[-1], "ssim": None},
+        "milestones": [{"share": 0.25, "chamfer_ps": 0.0123, "psnr": 21.0, "iou": None}],
+        "certificate": asdict(certify(vertices, faces)),
+        "versions": {"torch": "2.13", "numba": None},
+    }
+    (tmp_path / "metrics.json").write_text(json.dumps(metrics))
+    (tmp_path / "config.json").write_text(json.dumps({"field": {"type": "hash-grid"}}))
+    started = {"event": "run_started", "data": {"scene": "jar", "device": "cpu", "notes": ["grey images"]}}
+    decided = {"event": "decision", "data": {"item": "initial surface", "value": "hull"}}
+    (tmp_path / "events.jsonl").write_text(f'{json.dumps(started)}\n{json.dumps(decided)}\n{{"event": "out')
+    return tmp_path
+
+
+def test_everything_is_in_the_page(run_dir: Path):
+    pictures = {"reference": np.zeros((4, 6, 3), np.uint8), "render": np.full((4, 6, 3), 255, np.uint8)}
+    page = Page(write_report(run_dir, pictures))
+    for fact in ("jar <1> · sculpting", "0.0025", "24.00 dB", "0.0123", "grey images", "hull", "hash-grid", "2.13"):
+        assert fact in page.text
+    for label in ("training time, s (logarithmic)", "dB", "scene units (log)", "degrees", "genus", "watertight"):
+        assert label in page.text
+    assert [attributes["alt"] for tag, attributes in page.tags if tag == "img"] == ["reference", "render"]
+    assert "Not recorded" not in page.text
+
+
+def test_nothing_is_loaded_from_elsewhere(run_dir: Path):
+    page = Page(write_report(run_dir, {"render": np.zeros((2, 2, 3), np.uint8)}))
+    assert not {tag for tag, _ in page.tags} & {"script", "link", "iframe", "object"}
+    sources = [attributes.get("src") or attributes.get("href") or "" for _, attributes in page.tags]
+    assert all(source == "" or source.startswith("data:") for source in sources)
+
+
+def test_a_run_without_reference_says_what_is_not_known(run_dir: Path):
+    (run_dir / "curve.csv").write_text(header_line() + row_line({"t_train_s": 1.0, "psnr": 20.0}))
+    assert "Chamfer distance to the reference: not known" in Page(write_report(run_dir, {})).text
+
+
+def test_an_empty_run_directory_gives_a_page_too(tmp_path: Path):
+    text = Page(write_report(tmp_path, {})).text
+    assert text.count("Not recorded") >= 5
+
+
+def test_broken_files_are_named(run_dir: Path):
+    (run_dir / "metrics.json").write_text("{")
+    with pytest.raises(DataError, match=r"metrics\.json is not valid JSON"):
+        write_report(run_dir, {})
+
+
+def test_pictures():
+    colors = color_picture(np.array([[[0.0, 0.5, 2.0]]]))
+    np.testing.assert_array_equal(colors, [[[0, 128, 255]]])
+    same = np.full((1, 1, 3), 0.3)
+    np.testing.assert_array_equal(difference_picture(same, same), [[[255, 255, 255]]])
+    np.testing.assert_array_equal(difference_picture(same, same + DIFFERENCE_SCALE), [[[60, 10, 0]]])
+    normals = normal_picture(np.array([[[0.0, 0, 1], [0, 0, 0], [-3, 0, 0]]]))
+    np.testing.assert_array_equal(normals, [[[128, 128, 255], [255, 255, 255], [0, 128, 128]]])
+
+
+def test_png_keeps_every_pixel():
+    import base64
+
+    picture = np.random.default_rng(0).integers(0, 256, (5, 7, 3)).astype(np.uint8)
+    uri = png_data_uri(picture)
+    encoded = np.frombuffer(base64.b64decode(uri.removeprefix("data:image/png;base64,")), np.uint8)
+    np.testing.assert_array_equal(cv2.imdecode(encoded, cv2.IMREAD_COLOR)[:, :, ::-1], picture)

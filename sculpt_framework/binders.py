@@ -45,7 +45,9 @@ class Binder(ABC):
         """Rows "f ..." that a face starts with."""
 
     @abstractmethod
-    def bind(self, surface: Surface, rows: Mapping[str, Tensor]) -> Binding: ...
+    def bind(self, surface: Surface, rows: Mapping[str, Tensor], *, blur: float) -> Binding:
+        """``blur`` is the standard deviation of the screen's low-pass filter at the object's distance, in object units:
+        by how much every splat is wider than its Gaussian."""
 
 
 def owning_faces(faces: int, gaussians_per_face: int, device: torch.device) -> Int64[Tensor, " g"]:

@@ -26,6 +26,8 @@ class GaussianScene:
         groups = appearance.optimizer_groups()
         self.shared_optimizer = torch.optim.Adam(groups, eps=1e-15, fused=True) if groups else None
         self.shared_rates = [group["lr"] for group in groups]
+        self.blur = 0.0
+        """Standard deviation of the screen's low-pass filter at the object, in object units; follows the images."""
         self._warm_start = warm_start
         self._centroids: Float[Tensor, "f 3"] | None = None
 
@@ -56,7 +58,8 @@ class GaussianScene:
     def bind(self, surface: Surface, *, learn: bool) -> Binding:
         """Gaussians without colour; ``learn`` lets gradients reach the binder's rows."""
         rows = self.geometry_rows.leaves
-        return self.binder.bind(surface, rows if learn else {name: leaf.detach() for name, leaf in rows.items()})
+        rows = rows if learn else {name: leaf.detach() for name, leaf in rows.items()}
+        return self.binder.bind(surface, rows, blur=self.blur)
 
     def harmonics(self, means: Float[Tensor, "f k 3"], *, degree: int, learn: bool) -> Float[Tensor, "f k b 3"]:
         """Coefficients up to ``degree``; ``learn`` lets gradients reach rows and shared parameters."""

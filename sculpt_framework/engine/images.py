@@ -57,6 +57,12 @@ def prepare_image(view: View, box: Box, scale: float, device: torch.device, *, c
     )
 
 
+def pixel_footprint(images: Sequence[TrainingImage]) -> float:
+    """Side of a pixel at the object's centre in object units, median over the views."""
+    sides = [float(image.camera.world_to_camera[:3, 3].norm()) / image.camera.fx for image in images]
+    return float(np.median(sides))
+
+
 def prepare_images(views: Sequence[View], box: Box, scale: float, device: torch.device) -> list[TrainingImage]:
     return [prepare_image(view, box, scale, device) for view in views]
 

@@ -1,5 +1,6 @@
 """A run from config to reconstruction: builds the components, holds the data flow, runs the bi-level trainer."""
 
+import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
@@ -12,7 +13,7 @@ from sculpt_framework.config import MethodConfig, StageConfig
 from sculpt_framework.engine.assembly import build_parts, split_views
 from sculpt_framework.engine.clock import TrainingClock, process_start
 from sculpt_framework.engine.events import Event, EventName
-from sculpt_framework.engine.images import TrainingImage, prepare_image, prepare_images
+from sculpt_framework.engine.images import TrainingImage, pixel_footprint, prepare_image, prepare_images
 from sculpt_framework.engine.initial_fit import fit_field
 from sculpt_framework.engine.measuring import image_measures, mesh_measures, resident_megabytes
 from sculpt_framework.engine.milestones import Milestones
@@ -147,7 +148,7 @@ class Pipeline:
         if index == self._stage_index:
             return stage
         self._set_level(stage.level)
-        self._images = prepare_images(self._views, self.scene.box, stage.image_scale, self._parts.device)
+        self._load_images(stage)
         self._trainer.view_order = []
         self._stage_index = index
         if self._trainer.seeds is None:
@@ -168,6 +169,11 @@ class Pipeline:
         self._evaluate("stage", progress)
         self._keep_good()
         return stage
+
+    def _load_images(self, stage: StageConfig) -> None:
+        self._images = prepare_images(self._views, self.scene.box, stage.image_scale, self._parts.device)
+        pixel = pixel_footprint(self._images)
+        self._trainer.scene.blur = math.sqrt(self.config.trainer.low_pass_px2) * pixel
 
     def _set_level(self, level: int) -> None:
         trainer, grid = self._trainer, self._parts.grid.at_level(level)
@@ -363,7 +369,7 @@ class Pipeline:
         self._trainer.field.set_detail(self._trainer.extractor.grid.cell)
         restore(self._trainer, self._generator, state)
         self._stage_index = progress.stage
-        self._images = prepare_images(self._views, self.scene.box, stage.image_scale, self._parts.device)
+        self._load_images(stage)
         self.clock.stop()
         self.clock = TrainingClock(time.monotonic() - self.clock.wall_seconds, progress.trained_seconds)
         self.clock.start()

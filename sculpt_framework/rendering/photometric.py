@@ -26,6 +26,10 @@ def l1_dssim(
     fused = image.device.type == "cpu" and image.dtype == target.dtype == torch.float32 and not target.requires_grad
     if fused:
         return _FusedL1DSsim.apply(image, target, weight_dssim)
+    compiled = image.dtype == target.dtype == torch.float32 and image.device.type == target.device.type == "cpu"
+    if compiled and not target.requires_grad:
+        differentiate = image.requires_grad and torch.is_grad_enabled()
+        return _CompiledLoss.apply(image, target, weight_dssim, differentiate)
     return l1_dssim_in_torch(image, target, weight_dssim)
 
 
@@ -91,3 +95,35 @@ def _window(dtype: torch.dtype, device: torch.device) -> Float[Tensor, " taps"]:
     offset = torch.arange(WINDOW, dtype=dtype, device=device) - WINDOW // 2
     window = torch.exp(-offset * offset / (2.0 * SIGMA * SIGMA))
     return window / window.sum()
+
+
+class _CompiledLoss(torch.autograd.Function):
+    """The gradient is formed together with the value: it needs the same windows."""
+
+    @staticmethod
+    def forward(ctx, image, target, weight_dssim, differentiate):
+        threads = min(torch.get_num_threads(), numba.config.NUMBA_NUM_THREADS)
+        numba.set_num_threads(threads)
+        height, width, channels = image.shape
+        gradient = torch.empty(image.shape if differentiate else (0, width, channels))
+        similarity, difference = np.empty(height, np.float32), np.empty(height, np.float32)
+        count = max(image.numel(), 1)
+        photometric_kernels.compare(
+            image.detach().contiguous().reshape(height, -1).numpy(),
+            target.contiguous().reshape(height, -1).numpy(),
+            channels,
+            min(threads, height),
+            np.float32((1.0 - weight_dssim) / count),
+            np.float32(-weight_dssim / count),
+            similarity,
+            difference,
+            gradient.reshape(gradient.shape[0], -1).numpy(),
+        )
+        ctx.save_for_backward(gradient)
+        l1, ssim_mean = difference.sum(dtype=np.float64) / count, similarity.sum(dtype=np.float64) / count
+        return image.new_tensor((1.0 - weight_dssim) * l1 + weight_dssim * (1.0 - ssim_mean))
+
+    @staticmethod
+    def backward(ctx, *gradients):  # pyright: ignore[reportIncompatibleMethodOverride]
+        (gradient,) = ctx.saved_tensors
+        return gradient * gradients[0], None, None, None

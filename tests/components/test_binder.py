@@ -48,7 +48,7 @@ def test_placement_refuses_other_counts(k):
 def test_gaussians_lie_in_the_plane_of_their_face(k, reference):
     surface = triangle_surface(some_triangles())
     binder = FaceBarycentricConfig(gaussians_per_face=k, reference=reference, normal_scale=1e-6).build()
-    binding = binder.bind(surface, rows_of(binder, surface))
+    binding = binder.bind(surface, rows_of(binder, surface), blur=0.0)
     corners = surface.vertices[surface.faces]
     normal = torch.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], dim=1)
     normal = normal / normal.norm(dim=1, keepdim=True)
@@ -63,7 +63,7 @@ def test_gaussians_lie_in_the_plane_of_their_face(k, reference):
 def test_edges_reference_is_the_paper_s_equation():
     surface = triangle_surface(some_triangles())
     binder = FaceBarycentricConfig(reference="edges", scale=1.0, rotation_rate=0.0).build()
-    binding = binder.bind(surface, rows_of(binder, surface))
+    binding = binder.bind(surface, rows_of(binder, surface), blur=0.0)
     corners = surface.vertices[surface.faces]
     torch.testing.assert_close(binding.scales[:, 0, 1], 0.5 * (corners[:, 1] - corners[:, 0]).norm(dim=1))
     torch.testing.assert_close(binding.scales[:, 0, 2], 0.5 * (corners[:, 2] - corners[:, 0]).norm(dim=1))
@@ -75,7 +75,7 @@ def test_steiner_covariance_does_not_depend_on_the_order_of_vertices():
     corners = some_triangles()
     binder = FaceBarycentricConfig(scale=1.0, normal_scale=1e-6).build()
     first, second = (triangle_surface(corners[:, order]) for order in ([0, 1, 2], [1, 2, 0]))
-    one, other = (covariance(binder.bind(s, rows_of(binder, s))) for s in (first, second))
+    one, other = (covariance(binder.bind(s, rows_of(binder, s), blur=0.0)) for s in (first, second))
     torch.testing.assert_close(one, other)
     # Unit ratios: the ellipse x^T M^-1 x = 1 passes through the corners, so M has trace (2/3) sum |v - c|^2.
     centred = corners - corners.mean(1, keepdim=True)
@@ -89,7 +89,7 @@ def test_tangent_covariance_is_the_covariance_in_the_face_frame():
     rows = rows_of(binder, surface)
     rows["rotation"] = torch.full_like(rows["rotation"], 0.4)
     rows["log_ratios"] = rows["log_ratios"] + torch.tensor([0.3, -0.5], dtype=torch.float64)
-    binding = binder.bind(surface, rows)
+    binding = binder.bind(surface, rows, blur=0.0)
     full = covariance(binding)
     flat = binding.tangent_covariance
     # Same trace and determinant once the thickness along the normal is taken off.
@@ -101,8 +101,8 @@ def test_tangent_covariance_is_the_covariance_in_the_face_frame():
 def test_inset_moves_along_the_inward_normal():
     corners = torch.tensor([[[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]], dtype=torch.float64)
     surface = triangle_surface(corners)
-    binder = FaceBarycentricConfig(inset=0.25).build()
-    means = binder.bind(surface, rows_of(binder, surface)).means
+    binder = FaceBarycentricConfig(inset=2.5).build()
+    means = binder.bind(surface, rows_of(binder, surface), blur=0.1).means
     torch.testing.assert_close(means[0, 0, 2], torch.tensor(-0.25, dtype=torch.float64))
 
 
@@ -116,7 +116,7 @@ def test_gradients(reference, opacity):
     values = [(rows[name] + 0.1).requires_grad_() for name in names]
 
     def outputs(corners, *values):
-        binding = binder.bind(triangle_surface(corners), dict(zip(names, values, strict=True)))
+        binding = binder.bind(triangle_surface(corners), dict(zip(names, values, strict=True)), blur=0.01)
         return (
             binding.means,
             binding.scales,
@@ -145,7 +145,7 @@ def test_degenerate_faces_bind_finite_gaussians_with_finite_gradients(corners, r
     corners = torch.tensor([corners], dtype=dtype, requires_grad=True)
     binder = FaceBarycentricConfig(gaussians_per_face=3, reference=reference).build()
     surface = triangle_surface(corners)
-    binding = binder.bind(surface, rows_of(binder, surface))
+    binding = binder.bind(surface, rows_of(binder, surface), blur=0.0)
     total = sum(
         value.sum()
         for value in (binding.means, binding.scales, binding.rotations, binding.tangent_covariance, binding.opacities)

@@ -18,7 +18,7 @@ EQUILATERAL = torch.tensor([[[0.0, 0, 0], [1, 0, 0], [0.5, math.sqrt(0.75), 0]]]
 def bound(corners, k=1, scale=1.0, reference="steiner") -> Binding:
     binder = FaceBarycentricConfig(gaussians_per_face=k, scale=scale, reference=reference).build()
     surface = triangle_surface(corners)
-    return binder.bind(surface, rows_of(binder, surface))
+    return binder.bind(surface, rows_of(binder, surface), blur=0.0)
 
 
 def with_barycentrics(weights) -> Binding:

@@ -67,11 +67,11 @@ class FaceBarycentricBinder(Binder):
             rows["opacity_logits"] = torch.full((faces, k), theta, device=device, dtype=dtype)
         return rows
 
-    def bind(self, surface: Surface, rows: Mapping[str, Tensor]) -> Binding:
+    def bind(self, surface: Surface, rows: Mapping[str, Tensor], *, blur: float) -> Binding:
         corners = surface.vertices[surface.faces]
         barycentrics = rows["barycentric_logits"].softmax(dim=2)
         normal, radii = _normal_and_radii(corners, self._config.reference)
-        means = barycentrics @ corners - self._config.inset * normal[:, None]
+        means = barycentrics @ corners - self._config.inset * blur * normal[:, None]
         ratios = rows["log_ratios"].exp()
         mixed = radii[:, None].expand(-1, self.gaussians_per_face, -1, -1)
         whitened = torch.diag_embed(ratios)

@@ -103,7 +103,10 @@ class StageConfig:
     """A stretch of training at one grid level and one image size."""
 
     share: float
-    """Share of the training steps (or, with a time limit, of the time) that this stage takes; relative."""
+    """Share of the outer steps that this stage takes; relative."""
+    time_share: float | None = None
+    """Share of the time that this stage takes under ``--max-time``, relative; default: the same as ``share``. Fine
+    stages cost more per step."""
     level: int
     """Grid level: cells are halved with each level."""
     image_scale: float
@@ -127,7 +130,9 @@ class TrainerConfig:
     base_cells: int
     """Grid cells along the longest side of the object's box at level 0."""
     final_rate: float = 0.05
-    """Learning rates fall exponentially to this share of their start over the run."""
+    """Share of their start to which learning rates fall over the run."""
+    decay_power: float = 1.0
+    """1: rates fall exponentially; 2: by a bell curve, so that coarse stages, which move the surface far, keep theirs."""
     gradient_isolation: bool = True
     """Optimise a detached copy of the Gaussians in the inner loop; off: one joint update of everything (ablation)."""
     warm_start: bool = True

@@ -37,3 +37,10 @@ class CheckpointError(SculptError):
 
 class DeviceError(SculptError):
     """The asked-for device is not on this machine."""
+
+
+class TrainingFailed(Exception):
+    """Training could not go on, after repeated recovery; the message is one line that says why and what was saved.
+
+    No SculptError: it may be the input, the settings or a fault of ours. Exit code 1.
+    """

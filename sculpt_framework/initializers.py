@@ -18,9 +18,7 @@ class Initializer(ABC):
         """Whether the start is so rough that silhouettes alone must shape it before colours can (paper, 3.3)."""
 
     @abstractmethod
-    def target(
-        self, views: Sequence[View], half_sides: Float[Tensor, " 3"], device: torch.device
-    ) -> SdfFunction:
+    def target(self, views: Sequence[View], half_sides: Float[Tensor, " 3"], device: torch.device) -> SdfFunction:
         """Roughly a signed distance, for the field to be fitted to. Views and sides are in the object frame.
 
         Raises DataError if the views do not allow such a start; the message names an initializer that works.

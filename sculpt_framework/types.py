@@ -145,8 +145,8 @@ class Gaussians:
     """Anisotropic Gaussians: covariance = A A^T with A = ``rotations`` times diag(``scales``).
 
     The columns of ``rotations`` are unit vectors. Column 0 is the outward normal of the face the Gaussian lies on; the
-    other two span its plane but need not be orthogonal (a binder may use conjugate radii). ``sh`` are coefficients of real
-    spherical harmonics as in 3DGS: colour = 0.5 + sum_b sh_b Y_b(direction from camera), clamped at 0 from below.
+    other two span its plane but need not be orthogonal (a binder may use conjugate radii). ``sh`` are coefficients of
+    real spherical harmonics as in 3DGS: colour = 0.5 + sum_b sh_b Y_b(direction from camera), clamped at 0 from below.
     """
 
     means: Float[Tensor, "g 3"]

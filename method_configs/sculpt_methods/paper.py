@@ -1,4 +1,4 @@
-"""The paper to the letter. Where it gives a number, the place is named; where it gives none, docs/choices.md says why ours."""
+"""The paper to the letter. Where it gives a number, the place is named; where it gives none, see docs/choices.md."""
 
 from dataclasses import replace
 
@@ -81,9 +81,7 @@ def gaussian_sculpting_paper() -> MethodConfig:
             random_background=False,  # 3DGS
             stages=(
                 # 3.3 "To stabilize early optimization, we additionally apply a silhouette mask loss before switching"
-                StageConfig(
-                    share=0.2, level=0, image_scale=1.0, inner_steps=0, outer_views=8, silhouette_only=True
-                ),
+                StageConfig(share=0.2, level=0, image_scale=1.0, inner_steps=0, outer_views=8, silhouette_only=True),
                 # 4.1 "1000 iterations per internal step"
                 StageConfig(share=0.8, level=0, image_scale=1.0, inner_steps=1000, outer_views=8),
             ),

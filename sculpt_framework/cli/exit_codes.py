@@ -1,19 +1,22 @@
-"""How a command ends: 0 done, 2 the user can mend it (one line on stderr), 130 interrupted, else a fault of ours."""
+"""How a command ends: 0 done, 2 the user can mend it, 1 training failed (both with one line on stderr), 130 interrupted.
+
+A fault of ours keeps its traceback.
+"""
 
 import os
 import sys
 from collections.abc import Callable
 
-from sculpt_framework.errors import SculptError
+from sculpt_framework.errors import SculptError, TrainingFailed
 
 
 def run(main: Callable[[], None]) -> None:
-    """Run a command. A SculptError becomes one line on stderr and exit code 2; any other error keeps its traceback."""
+    """Run a command. A SculptError and TrainingFailed become one line on stderr; any other error keeps its traceback."""
     try:
         main()
-    except SculptError as error:
+    except (SculptError, TrainingFailed) as error:
         sys.stderr.write(f"error: {' '.join(str(error).split())}\n")
-        sys.exit(2)
+        sys.exit(2 if isinstance(error, SculptError) else 1)
     except KeyboardInterrupt:
         sys.exit(130)
     except BrokenPipeError:

@@ -106,7 +106,9 @@ def encode_in_torch(
     if not tables:
         return points.new_zeros(points.shape[0], 0)
     inside = 0.5 * (points.clamp(-1.0, 1.0) + 1.0)
-    levels = [_level(inside * resolution, table, resolution) for table, resolution in zip(tables, resolutions, strict=True)]
+    levels = [
+        _level(inside * resolution, table, resolution) for table, resolution in zip(tables, resolutions, strict=True)
+    ]
     return torch.cat(levels, dim=1)
 
 
@@ -116,7 +118,7 @@ def _level(position: Float[Tensor, "n 3"], table: Float[Tensor, "e c"], resoluti
     cell = position.detach().floor().long().clamp(0, resolution - 1)
     upper = position - cell
     lower = 1.0 - upper
-    total = 0.0
+    total = position.new_zeros(position.shape[0], table.shape[1])
     for corner in range(8):
         bits = torch.tensor([corner & 1, corner >> 1 & 1, corner >> 2], device=position.device)
         weight = torch.where(bits == 1, upper, lower).prod(dim=1, keepdim=True)

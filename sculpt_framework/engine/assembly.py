@@ -47,7 +47,7 @@ def build_parts(config: MethodConfig, box: Box, generator: torch.Generator) -> P
     grid = grid_over_box(box.half_sides, trainer.base_cells)
     field = config.field.build(device)
     rasterizer = config.rasterizer.build(device)
-    scene = GaussianScene(config.binder.build(), config.appearance.build(device), warm_start=trainer.warm_start)
+    scene = GaussianScene(config.binder.build(), config.appearance.build(device))
     return Parts(
         device=device,
         grid=grid,

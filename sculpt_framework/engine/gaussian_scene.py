@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import torch
 from jaxtyping import Float, Int64
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 from torch import Tensor
 
 from sculpt_framework.appearances import Appearance, bands
@@ -18,7 +18,7 @@ class GaussianScene:
     """Owns the inner variables: the binder's and the appearance's rows under face keys, and the appearance's own
     parameters. Knows nothing of fields or extractors; a surface comes in, Gaussians come out."""
 
-    def __init__(self, binder: Binder, appearance: Appearance, *, warm_start: bool):
+    def __init__(self, binder: Binder, appearance: Appearance):
         self.binder = binder
         self.appearance = appearance
         self.geometry_rows = KeyedTable(binder.learning_rates)
@@ -28,19 +28,20 @@ class GaussianScene:
         self.shared_rates = [group["lr"] for group in groups]
         self.blur = 0.0
         """Standard deviation of the screen's low-pass filter at the object, in object units; follows the images."""
-        self._warm_start = warm_start
         self._centroids: Float[Tensor, "f 3"] | None = None
 
+    def forget(self) -> None:
+        """Drop all rows: the next surface starts with new Gaussians (paper: a cold start at every outer step)."""
+        self.geometry_rows = KeyedTable(self.binder.learning_rates)
+        self.appearance_rows = KeyedTable(self.appearance.learning_rates)
+        self._centroids = None
+
     def follow(self, surface: Surface) -> None:
-        """Carry the rows over to this surface's faces; a cold start forgets them first."""
+        """Carry the rows over to this surface's faces. Following the same surface again changes nothing."""
         surface = surface.detach()
         corners = surface.vertices[surface.faces]
         keys = surface.face_keys
         count, device, dtype = len(keys), corners.device, corners.dtype
-        if not self._warm_start:
-            self.geometry_rows = KeyedTable(self.binder.learning_rates)
-            self.appearance_rows = KeyedTable(self.appearance.learning_rates)
-            self._centroids = None
         self.geometry_rows.rekey(keys, self.binder.new_rows(count, device, dtype))
         centroids = corners.mean(dim=1)
         k = self.binder.gaussians_per_face
@@ -131,6 +132,6 @@ def _nearest_faces(
     same_level = ordered[0] >> 55 == keys[0] >> 55
     far = apart if bool(same_level) else torch.ones_like(apart)
     if bool(far.any()):
-        _, found = cKDTree(old_centroids.cpu().numpy()).query(centroids[far].cpu().numpy())
+        _, found = KDTree(old_centroids.cpu().numpy()).query(centroids[far].cpu().numpy())
         lender[far] = torch.from_numpy(found).to(lender)
     return lender

@@ -22,9 +22,7 @@ def tabulate(target: SdfFunction, grid: Grid, device: torch.device) -> tuple[Flo
     return points, torch.cat([target(chunk) for chunk in points.split(1 << 17)])
 
 
-def interpolate(
-    values: Float[Tensor, " m"], grid: Grid, points: Float[Tensor, "n 3"]
-) -> Float[Tensor, " n"]:
+def interpolate(values: Float[Tensor, " m"], grid: Grid, points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
     """Trilinear interpolation of values at the grid's corners; points outside take the nearest wall's."""
     x, y, z = grid.shape
     volume = values.reshape(1, 1, x + 1, y + 1, z + 1)

@@ -1,10 +1,10 @@
 """When a run measures itself, and what it found."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal
 
-_SHARES = (0.25, 0.5, 0.75, 1.0)
-"""Shares of the run at which a measurement is owed, whatever it costs."""
+_SHARES = (0.25, 0.5, 0.75, 0.9)
+"""Shares of the run at which a measurement is owed, whatever it costs; its end is measured anyway."""
 _COST_AT_MOST = 0.08
 """Of training time, for the measurements in between."""
 
@@ -16,16 +16,19 @@ class Milestones:
         self.rows: list[dict[str, Any]] = list(rows)
         self._next_second = 1.0
 
-    def due(self, progress: float, trained: float, spent: float) -> bool:
-        """``trained`` and ``spent`` are seconds of training and of evaluation so far."""
+    def due(self, progress: float, trained: float, spent: float) -> Literal["share", "time"] | None:
+        """Why a measurement is due now, if one is. ``trained`` and ``spent`` are seconds of training and of evaluation.
+
+        Shares come first: whether one is measured must not depend on how fast the machine is.
+        """
         done = self.rows[-1]["progress"] if self.rows else 0.0
-        if any(done < share <= progress for share in _SHARES[:-1]):
-            return True
+        if any(done < share <= progress for share in _SHARES):
+            return "share"
         if trained < self._next_second:
-            return False
+            return None
         while self._next_second <= trained:
             self._next_second *= 2
-        return spent <= _COST_AT_MOST * trained
+        return "time" if spent <= _COST_AT_MOST * trained else None
 
     def add(self, progress: float, row: dict[str, Any]) -> None:
         self.rows.append({**row, "progress": progress})
@@ -34,10 +37,10 @@ class Milestones:
         return self.rows[-1][column] if self.rows else None
 
     def shares(self) -> list[dict[str, Any]]:
-        """The first row at or after each of 25, 50 and 100 % of the run."""
+        """The first row at or after 25 and 50 % of the run, and the last one if the run came to its end."""
         out = []
-        for share in (0.25, 0.5, 1.0):
-            row = next((row for row in self.rows if row["progress"] >= share - 1e-9), None)
+        for share, rows in ((0.25, self.rows), (0.5, self.rows), (1.0, self.rows[::-1])):
+            row = next((row for row in rows if row["progress"] >= share - 1e-9), None)
             if row is not None:
                 out.append({"share": share, "chamfer_ps": row["chamfer_ps"], "psnr": row["psnr"], "iou": row["iou"]})
         return out

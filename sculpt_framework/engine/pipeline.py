@@ -131,7 +131,8 @@ class Pipeline:
         level = 0
         while self.config.trainer.base_cells << (level + 1) <= _INITIAL_CELLS:
             level += 1
-        self._trainer.field.set_detail(self._parts.grid.at_level(level).cell)
+        # Only the levels of detail that the first stage uses: finer ones would wake up later with stale detail.
+        self._trainer.field.set_detail(self._parts.grid.at_level(self.config.trainer.stages[0].level).cell)
         error = fit_field(
             self._trainer.field,
             target,
@@ -268,9 +269,7 @@ class Pipeline:
             row |= {"t_cpu_s": self.clock.cpu_seconds}
             trainer.scene.follow(surface)
             gaussians = object_gaussians(trainer.scene, surface)
-            row |= image_measures(
-                self._parts.rasterizer, gaussians, self._held_out, self.config.trainer.low_pass_px2
-            )
+            row |= image_measures(self._parts.rasterizer, gaussians, self._held_out, self.config.trainer.low_pass_px2)
             row |= mesh_measures(world_mesh(surface, self.scene.box)[0], self._reference, _CURVE_SAMPLES)
         self._milestones.add(progress, row)
         self._evaluation_seconds += time.monotonic() - began

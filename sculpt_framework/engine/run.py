@@ -170,14 +170,12 @@ def load_finished(folder: Path) -> FinishedRun:
     scene = config.dataset.build(config.data).load()
     world = read_gaussians_ply(path)
     box = scene.box
-    gaussians = replace(
-        world, means=box.to_object(world.means.double()).float(), scales=world.scales / box.scale
-    )
+    gaussians = replace(world, means=box.to_object(world.means.double()).float(), scales=world.scales / box.scale)
     return FinishedRun(config=config, scene=scene, gaussians=gaussians)
 
 
 def run_status(folder: Path) -> str | None:
-    """"finished", "stopped" or None while a run has no metrics yet."""
+    """ "finished", "stopped" or None while a run has no metrics yet."""
     path = folder / "metrics.json"
     if not path.is_file():
         return None

@@ -15,7 +15,10 @@ class Schedule:
 
     def __init__(self, config: TrainerConfig, deadline: float | None):
         """``deadline`` is a ``time.monotonic()`` instant at which optimisation has to end."""
-        shares = [stage.share for stage in config.stages]
+        timed = deadline is not None
+        shares = [
+            stage.time_share if timed and stage.time_share is not None else stage.share for stage in config.stages
+        ]
         if not shares or min(shares) <= 0:
             raise ValueError("a schedule needs stages with positive shares")
         total = sum(shares)
@@ -23,26 +26,28 @@ class Schedule:
         self._stages: Sequence[StageConfig] = config.stages
         self._steps = config.outer_steps
         self._final_rate = config.final_rate
+        self._decay_power = config.decay_power
         self._deadline = deadline
         self._began: float | None = None
-        self._elapsed_before = 0.0
+        self._done_before = 0.0
 
     @property
     def total_steps(self) -> int | None:
         return None if self._deadline is not None else self._steps
 
-    def begin(self) -> None:
-        """Optimisation starts now."""
+    def begin(self, done: float = 0.0) -> None:
+        """Optimisation starts now; a share ``done`` of it has been done before, in the run that is gone on with."""
         self._began = time.monotonic()
+        self._done_before = done
 
     def progress(self, outer: int) -> float:
         """Share of the run that is done after ``outer`` outer steps, at most 1."""
         if self._deadline is None:
             return min(1.0, outer / max(1, self._steps))
         if self._began is None:
-            return 0.0
+            return self._done_before
         span = self._deadline - self._began
-        return 1.0 if span <= 0 else min(1.0, (time.monotonic() - self._began) / span)
+        return 1.0 if span <= 0 else min(1.0, self._done_before + (time.monotonic() - self._began) / span)
 
     def stage_index(self, progress: float) -> int:
         for index, end in enumerate(self._ends):
@@ -54,5 +59,5 @@ class Schedule:
         return self._stages[self.stage_index(progress)]
 
     def rate_factor(self, progress: float) -> float:
-        """Learning rates fall exponentially to ``final_rate``."""
-        return self._final_rate**progress
+        """Factor on learning rates: final_rate^(progress^power)."""
+        return self._final_rate ** (progress**self._decay_power)

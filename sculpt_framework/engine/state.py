@@ -58,7 +58,9 @@ def optimizer_state(optimizer: torch.optim.Optimizer) -> dict[str, Tensor]:
 def load_optimizer_state(optimizer: torch.optim.Optimizer, state: Mapping[str, Tensor]) -> None:
     for index, parameter in enumerate(_parameters(optimizer)):
         entries = {
-            name.partition(".")[2]: value.clone() for name, value in state.items() if name.partition(".")[0] == str(index)
+            name.partition(".")[2]: value.clone()
+            for name, value in state.items()
+            if name.partition(".")[0] == str(index)
         }
         if entries:
             optimizer.state[parameter] = entries

@@ -1,9 +1,9 @@
 """The bi-level loop (paper, 3.3): surfaces outside, Gaussians inside.
 
-    outer step   extract the surface with gradient, let the Gaussians follow its faces
-      inner loop   optimise a detached copy of the Gaussians on colours and constraints, the surface held fixed
-      copy back    the optimised values meet the connected surface again
-    render it, and carry the images' gradient through Gaussians and faces into field and extractor
+outer step   extract the surface with gradient, let the Gaussians follow its faces
+  inner loop   optimise a detached copy of the Gaussians on colours and constraints, the surface held fixed
+  copy back    the optimised values meet the connected surface again
+render it, and carry the images' gradient through Gaussians and faces into field and extractor
 """
 
 from collections.abc import Sequence
@@ -24,7 +24,6 @@ from sculpt_framework.fields import Field
 from sculpt_framework.losses import GeometryLoss, ImageLoss
 from sculpt_framework.rasterizers import Rasterizer
 from sculpt_framework.types import Gaussians, Rendering, Surface
-
 
 Term = TypeVar("Term")
 
@@ -79,7 +78,9 @@ class BiLevelTrainer:
         self.extractor = extractor
         self.scene = scene
         groups = field.parameter_groups()
-        self.optimizer = torch.optim.Adam([{"params": g.parameters} for g in groups], betas=(0.9, 0.99), eps=1e-15, fused=True)
+        self.optimizer = torch.optim.Adam(
+            [{"params": g.parameters} for g in groups], betas=(0.9, 0.99), eps=1e-15, fused=True
+        )
         self.seeds: Int64[Tensor, " s"] | None = None
         """Cells the surface was in after the latest extraction."""
         self.extraction: Extraction | None = None
@@ -102,6 +103,8 @@ class BiLevelTrainer:
         """
         extraction = self.extract()
         surface = extraction.surface
+        if not self._config.warm_start:
+            self.scene.forget()
         self.scene.follow(surface)
         inner_loss = None
         if self._config.gradient_isolation and not stage.silhouette_only:
@@ -120,6 +123,7 @@ class BiLevelTrainer:
         self._check_finite(loss)
         # One walk through extraction and field for all terms together: it costs as much as a render.
         torch.autograd.backward(roots, gradients)
+        self._check_gradients()
         for group, rate in zip(self.optimizer.param_groups, self._field_rates, strict=True):
             group["lr"] = rate * rate_factor
         self.optimizer.step()
@@ -215,6 +219,16 @@ class BiLevelTrainer:
     def _check_finite(self, loss: float) -> None:
         if loss != loss or loss in (float("inf"), float("-inf")):
             raise FloatingPointError(f"the objective is {loss}")
+
+    def _check_gradients(self) -> None:
+        """Of field and extractor, before anything is updated by them."""
+        named = [("the field", p) for group in self.optimizer.param_groups for p in group["params"]]
+        for name, table in self.extractor.tables.items():
+            named += [(f"the extractor's {name}", leaf) for leaf in table.leaves.values()]
+        for name, tensor in named:
+            # One sum is a quarter of the cost of testing every element, and not finite if any element is not.
+            if tensor.grad is not None and not bool(torch.isfinite(tensor.grad.sum())):
+                raise FloatingPointError(f"the gradient of {name} is not finite")
 
     def _degree(self, step: int) -> int:
         """Active spherical-harmonics degree: one more every so many inner steps (3DGS), from the Gaussians' start."""

@@ -1,4 +1,4 @@
-"""A regular grid of cubic cells over the object's box, at one level of a dyadic ladder, and integer names for its parts.
+"""A regular grid of cubic cells over the object's box, at one level of a dyadic ladder, and integer names of its parts.
 
 Level L of a ladder has cells of half the size of level L - 1; corner (i, j, k) of level L is corner (2i, 2j, 2k) of
 level L + 1. Nothing here has the size of the volume: cells and corners are named by keys that pack their coordinates.

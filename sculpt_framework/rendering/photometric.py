@@ -1,11 +1,18 @@
 """The colour loss of 3DGS: L1 and D-SSIM."""
 
+from pathlib import Path
+
 import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 from torch.nn import functional
+
+from sculpt_framework.cpu_kernels import kernel_cache, share_threads
+
+with kernel_cache("photometric", Path(__file__).with_name("photometric_kernels.py")):
+    from sculpt_framework.rendering import photometric_kernels
 
 WINDOW = 11
 """Pixels across the Gaussian window."""
@@ -15,52 +22,17 @@ C1, C2 = 0.01**2, 0.03**2
 """Stabilisers of SSIM for images in [0, 1]."""
 
 
-def l1_dssim(
-    image: Float[Tensor, "h w c"], target: Float[Tensor, "h w c"], weight_dssim: float
-) -> Float[Tensor, ""]:
+def l1_dssim(image: Float[Tensor, "h w c"], target: Float[Tensor, "h w c"], weight_dssim: float) -> Float[Tensor, ""]:
     """(1 - weight) mean |image - target| + weight (1 - SSIM), means over pixels and channels.
 
     SSIM with an 11x11 Gaussian window of sigma 1.5 and zeros around the image, as in 3DGS. float32 on the CPU runs in
     compiled kernels that give the value and its gradient by ``image`` in one go; anything else runs in torch.
     """
-    fused = image.device.type == "cpu" and image.dtype == target.dtype == torch.float32 and not target.requires_grad
-    if fused:
-        return _FusedL1DSsim.apply(image, target, weight_dssim)
     compiled = image.dtype == target.dtype == torch.float32 and image.device.type == target.device.type == "cpu"
     if compiled and not target.requires_grad:
         differentiate = image.requires_grad and torch.is_grad_enabled()
         return _CompiledLoss.apply(image, target, weight_dssim, differentiate)
     return l1_dssim_in_torch(image, target, weight_dssim)
-
-
-class _FusedL1DSsim(torch.autograd.Function):
-    """``l1_dssim_in_torch`` for float32 on the CPU; the target gets no gradient, and there is no second derivative."""
-
-    @staticmethod
-    def forward(ctx, image: Tensor, target: Tensor, weight_dssim: float) -> Tensor:
-        from sculpt_framework.rendering.photometric_numba import gradient, similarity
-
-        height, width, channels = image.shape
-        x = image.detach().contiguous().numpy().reshape(height, width * channels)
-        y = target.detach().contiguous().numpy().reshape(height, width * channels)
-        window = _window(torch.float32, image.device).numpy()
-        partials = np.empty((3, height, width * channels), np.float32)
-        row_ssim, row_l1 = np.zeros(height, np.float32), np.zeros(height, np.float32)
-        similarity(x, y, channels, window, partials, row_ssim, row_l1)
-        l1_weight, ssim_weight = (1.0 - weight_dssim) / x.size, -weight_dssim / x.size
-        if ctx.needs_input_grad[0]:
-            slope = torch.empty_like(image, memory_format=torch.contiguous_format)
-            flat = slope.numpy().reshape(x.shape)
-            gradient(x, y, channels, window, partials, np.float32(l1_weight), np.float32(ssim_weight), flat)
-            ctx.save_for_backward(slope)
-        value = l1_weight * float(row_l1.sum(dtype=np.float64)) + weight_dssim
-        return image.new_tensor(value + ssim_weight * float(row_ssim.sum(dtype=np.float64)))
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx, grad_value: Tensor) -> tuple[Tensor | None, ...]:
-        (slope,) = ctx.saved_tensors
-        return grad_value * slope, None, None
 
 
 def l1_dssim_in_torch(
@@ -101,29 +73,28 @@ class _CompiledLoss(torch.autograd.Function):
     """The gradient is formed together with the value: it needs the same windows."""
 
     @staticmethod
-    def forward(ctx, image, target, weight_dssim, differentiate):
-        threads = min(torch.get_num_threads(), numba.config.NUMBA_NUM_THREADS)
-        numba.set_num_threads(threads)
+    def forward(ctx, image: Tensor, target: Tensor, weight_dssim: float, differentiate: bool) -> Tensor:
         height, width, channels = image.shape
         gradient = torch.empty(image.shape if differentiate else (0, width, channels))
         similarity, difference = np.empty(height, np.float32), np.empty(height, np.float32)
         count = max(image.numel(), 1)
         photometric_kernels.compare(
-            image.detach().contiguous().reshape(height, -1).numpy(),
-            target.contiguous().reshape(height, -1).numpy(),
+            image.detach().contiguous().reshape(height, width * channels).numpy(),
+            target.contiguous().reshape(height, width * channels).numpy(),
             channels,
-            min(threads, height),
+            min(share_threads(), height),
             np.float32((1.0 - weight_dssim) / count),
             np.float32(-weight_dssim / count),
             similarity,
             difference,
-            gradient.reshape(gradient.shape[0], -1).numpy(),
+            gradient.reshape(gradient.shape[0], width * channels).numpy(),
         )
         ctx.save_for_backward(gradient)
         l1, ssim_mean = difference.sum(dtype=np.float64) / count, similarity.sum(dtype=np.float64) / count
         return image.new_tensor((1.0 - weight_dssim) * l1 + weight_dssim * (1.0 - ssim_mean))
 
     @staticmethod
-    def backward(ctx, *gradients):  # pyright: ignore[reportIncompatibleMethodOverride]
+    @once_differentiable
+    def backward(ctx, to_value: Tensor) -> tuple[Tensor | None, ...]:
         (gradient,) = ctx.saved_tensors
-        return gradient * gradients[0], None, None, None
+        return gradient * to_value, None, None, None

@@ -2,7 +2,8 @@
 
 An image of c channels is a matrix of rows of width x c floats, in which the neighbour k pixels along lies k c floats
 further: every loop runs over contiguous floats and is left to the compiler to vectorise. It does so while few arrays
-take part in a loop, which is why sums of eleven terms are made in three steps.
+take part in a loop, which is why sums of eleven terms are made in three steps, and while numba knows a row to be
+contiguous, which it does for the last axis of a whole array.
 """
 
 import numpy as np
@@ -38,19 +39,19 @@ def _blur_row(source, step, out):
 
 
 @njit(**_OPTIONS)
-def _blur_column(rows, middle, out):
-    """Window across rows ``middle - 5 ... middle + 5`` of a ring of 11 rows."""
+def _blur_column(ring, q, middle, out):
+    """Window across rows ``middle - 5 ... middle + 5`` of quantity q in a ring of 11 rows of quantities."""
     n = out.shape[0]
-    center = rows[middle % _TAPS]
-    above, below = rows[(middle - 1) % _TAPS], rows[(middle + 1) % _TAPS]
+    center = ring[middle % _TAPS, q]
+    above, below = ring[(middle - 1) % _TAPS, q], ring[(middle + 1) % _TAPS, q]
     for j in range(n):
         out[j] = _W0 * center[j] + _W1 * (above[j] + below[j])
-    above, below = rows[(middle - 2) % _TAPS], rows[(middle + 2) % _TAPS]
-    far_above, far_below = rows[(middle - 3) % _TAPS], rows[(middle + 3) % _TAPS]
+    above, below = ring[(middle - 2) % _TAPS, q], ring[(middle + 2) % _TAPS, q]
+    far_above, far_below = ring[(middle - 3) % _TAPS, q], ring[(middle + 3) % _TAPS, q]
     for j in range(n):
         out[j] += _W2 * (above[j] + below[j]) + _W3 * (far_above[j] + far_below[j])
-    above, below = rows[(middle - 4) % _TAPS], rows[(middle + 4) % _TAPS]
-    far_above, far_below = rows[(middle - 5) % _TAPS], rows[(middle + 5) % _TAPS]
+    above, below = ring[(middle - 4) % _TAPS, q], ring[(middle + 4) % _TAPS, q]
+    far_above, far_below = ring[(middle - 5) % _TAPS, q], ring[(middle + 5) % _TAPS, q]
     for j in range(n):
         out[j] += _W4 * (above[j] + below[j]) + _W5 * (far_above[j] + far_below[j])
 
@@ -138,32 +139,33 @@ def compare(image, target, step, strips, weight_l1, weight_ssim, similarity, dif
         first, end = height * strip // strips, height * (strip + 1) // strips
         padded = np.zeros((4, n + 2 * pad), np.float32)
         # The last eleven rows, blurred along: of x, y, x^2 + y^2 and x y; of the derivatives of SSIM.
-        images = np.zeros((4, _TAPS, n), np.float32)
-        derivatives = np.zeros((3, _TAPS, n), np.float32)
+        images = np.zeros((_TAPS, 4, n), np.float32)
+        derivatives = np.zeros((_TAPS, 3, n), np.float32)
         blurred = np.empty((4, n), np.float32)
         for row in range(first - halo - _RADIUS, end + halo + _RADIUS):
             if 0 <= row < height:
-                _blur_products(image[row], target[row], step, padded, images[:, row % _TAPS])
+                _blur_products(image[row], target[row], step, padded, images[row % _TAPS])
             else:
-                images[:, row % _TAPS] = _ZERO
+                images[row % _TAPS] = _ZERO
             middle = row - _RADIUS
             if middle < first - halo:
                 continue
             if 0 <= middle < height:
                 for q in range(4):
-                    _blur_column(images[q], middle, blurred[q])
-                inner = padded[:3, pad : pad + n]
-                total = _compare_row(blurred, inner[0], inner[1], inner[2])
+                    _blur_column(images, q, middle, blurred[q])
+                total = _compare_row(
+                    blurred, padded[0, pad : pad + n], padded[1, pad : pad + n], padded[2, pad : pad + n]
+                )
                 if first <= middle < end:
                     similarity[middle] = total
                     difference[middle] = _distance(image[middle], target[middle])
                 if differentiate:
                     for q in range(3):
-                        _blur_row(padded[q], step, derivatives[q, middle % _TAPS])
+                        _blur_row(padded[q], step, derivatives[middle % _TAPS, q])
             elif differentiate:
-                derivatives[:, middle % _TAPS] = _ZERO
+                derivatives[middle % _TAPS] = _ZERO
             last = middle - _RADIUS
             if differentiate and last >= first:
                 for q in range(3):
-                    _blur_column(derivatives[q], last, blurred[q])
+                    _blur_column(derivatives, q, last, blurred[q])
                 _differentiate_row(image[last], target[last], blurred, weight_l1, weight_ssim, gradient[last])

@@ -3,15 +3,15 @@
 import pytest
 import torch
 from sampled_grids import all_cells, corner_lookup, unit_grid
-from sculpt_plugins.extractors.flexicubes.config import FlexiCubesConfig
-from sculpt_plugins.extractors.flexicubes.extractor import FlexiCubes
-from sculpt_plugins.extractors.flexicubes.geometry import center_split, diagonal_split, dual_vertices
-from sculpt_plugins.extractors.flexicubes.topology import DualTopology, dual_topology
 from torch import Tensor
 
 from sculpt_framework.geometry.band import Band, discover, track
 from sculpt_framework.geometry.grid import Grid, grid_over_box, unpack_ijk
 from sculpt_framework.testing import box_sdf, check_extraction, sphere_sdf
+from sculpt_plugins.extractors.flexicubes.config import FlexiCubesConfig
+from sculpt_plugins.extractors.flexicubes.extractor import FlexiCubes
+from sculpt_plugins.extractors.flexicubes.geometry import center_split, diagonal_split, dual_vertices
+from sculpt_plugins.extractors.flexicubes.topology import DualTopology, dual_topology
 
 CPU = torch.device("cpu")
 

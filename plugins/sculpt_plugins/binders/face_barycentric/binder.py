@@ -122,9 +122,7 @@ def _normal_and_radii(
     else:
         r1 = _unit(edge)
         along = 0.5 * edge
-        across = (
-            0.5 * torch.cross(normal, r1, dim=1) * (other.square().sum(dim=1, keepdim=True) + _TINY).sqrt()
-        )
+        across = 0.5 * torch.cross(normal, r1, dim=1) * (other.square().sum(dim=1, keepdim=True) + _TINY).sqrt()
     return normal, torch.stack([along, across], dim=2)
 
 

@@ -21,8 +21,8 @@ class FaceBarycentricConfig(BinderConfig):
     """Standard deviation along the normal, the paper's epsilon, in object units."""
     inset: float = 1.9
     """Depth of the Gaussians below their face, in standard deviations of the screen's low-pass filter; 0: on the face
-    (paper). Opaque splats seen edge-on are as wide as the filter, and the outline of about four of them lies 1.9 standard
-    deviations outside their centres (docs/choices.md)."""
+    (paper). Opaque splats seen edge-on are as wide as the filter, and the outline of about four of them lies 1.9
+    standard deviations outside their centres (docs/choices.md)."""
     opacity: Literal["fixed", "learnable"] = "fixed"
     """Fixed at theta (paper), or learned per Gaussian from there (ablation)."""
     theta: float = 0.99

@@ -13,13 +13,13 @@ _TINY = 1e-12
 class MeeScale(Constraint):
     """Mean over Gaussians of max(0, lambda_max(M^-1 Sigma) - limit), Sigma the covariance in the face's tangent frame.
 
-    ``edges``    the paper's D = diag(|v2 - v1| / 2, |v3 - v1| / 2), M = D D^T. Not an enclosing ellipse: the corners of an
-                 equilateral triangle lie at 1.33, and the value depends on the order of the vertices.
+    ``edges``    the paper's D = diag(|v2 - v1| / 2, |v3 - v1| / 2), M = D D^T. Not an enclosing ellipse: the corners of
+                 an equilateral triangle lie at 1.33, and the value depends on the order of the vertices.
     ``steiner``  M = (2/3) sum_i (v_i - c)(v_i - c)^T, the Steiner circumellipse: the smallest that holds the triangle.
 
-    The eigenvalue is that of the product's trace and determinant, t/2 + sqrt(t^2/4 - d), rounded off at t^2/4 = d, where
-    both eigenvalues agree and the square root has no gradient. A face of no area is given a thickness of 1e-6 units, so
-    its penalty is large but finite.
+    The eigenvalue is that of the product's trace and determinant, t/2 + sqrt(t^2/4 - d), rounded off at t^2/4 = d,
+    where both eigenvalues agree and the square root has no gradient. A face of no area is given a thickness of 1e-6
+    units, so its penalty is large but finite.
     """
 
     def __init__(self, form: str, limit: float):
@@ -34,16 +34,10 @@ class MeeScale(Constraint):
             edges = corners[:, 1:] - corners[:, :1]
             ellipse = torch.diag_embed(0.25 * edges.square().sum(dim=2))
         ellipse = ellipse + _TINY * torch.eye(2, dtype=corners.dtype, device=corners.device)
-        return (
-            (_largest_eigenvalue(ellipse[:, None], binding.tangent_covariance) - self._limit)
-            .clamp(min=0)
-            .mean()
-        )
+        return (_largest_eigenvalue(ellipse[:, None], binding.tangent_covariance) - self._limit).clamp(min=0).mean()
 
 
-def _largest_eigenvalue(
-    metric: Float[Tensor, "f 1 2 2"], covariance: Float[Tensor, "f k 2 2"]
-) -> Float[Tensor, "f k"]:
+def _largest_eigenvalue(metric: Float[Tensor, "f 1 2 2"], covariance: Float[Tensor, "f k 2 2"]) -> Float[Tensor, "f k"]:
     """Of metric^-1 covariance, both symmetric; the metric positive definite."""
     a, b, c = metric[..., 0, 0], metric[..., 0, 1], metric[..., 1, 1]
     p, q, r = covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]

@@ -39,11 +39,7 @@ class HashGridField(Field):
         self._decoder: nn.Module | None = None
         if config.hidden_units or config.features:
             hidden = config.hidden_units or channels
-            first = (
-                nn.Sequential(nn.Linear(channels, hidden), nn.Softplus(beta=100.0))
-                if config.hidden_units
-                else []
-            )
+            first = nn.Sequential(nn.Linear(channels, hidden), nn.Softplus(beta=100.0)) if config.hidden_units else []
             last = nn.Linear(hidden, 1 + config.features)
             nn.init.zeros_(last.bias)
             nn.init.normal_(last.weight, std=1e-3)

@@ -22,9 +22,7 @@ class MlpField(Field):
     def __init__(self, config: MlpFieldConfig):
         super().__init__()
         if not 0 <= config.skip_layer < config.hidden_layers:
-            raise ValueError(
-                f"skip_layer {config.skip_layer} is not one of the {config.hidden_layers} hidden layers"
-            )
+            raise ValueError(f"skip_layer {config.skip_layer} is not one of the {config.hidden_layers} hidden layers")
         self._config = config
         encoded = 3 + 6 * config.frequencies
         layers: list[nn.Module] = []
@@ -34,9 +32,7 @@ class MlpField(Field):
             if config.skip_layer > 0 and index + 1 == config.skip_layer:
                 outputs -= encoded  # the skip concatenates the encoded input to this layer's output
             layer = nn.Linear(inputs, outputs)
-            _initialise_hidden(
-                layer, first=index == 0, after_skip=0 < config.skip_layer == index, encoded=encoded
-            )
+            _initialise_hidden(layer, first=index == 0, after_skip=0 < config.skip_layer == index, encoded=encoded)
             layers.append(weight_norm(layer))
         self._hidden = nn.ModuleList(layers)
         last = nn.Linear(config.hidden_units, 1 + config.features)

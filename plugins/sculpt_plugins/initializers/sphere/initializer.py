@@ -12,7 +12,7 @@ from sculpt_framework.types import View
 
 
 class Sphere(Initializer):
-    """(|x / half sides| - fill) times the shortest half side: a sphere in a cubic box, never steeper than a distance."""
+    """(|x / half sides| - fill) * the shortest half side: a sphere in a cubic box, never steeper than a distance."""
 
     def __init__(self, fill: float):
         if not 0 < fill < 1:

@@ -35,7 +35,9 @@ class VisualHull(Initializer):
     def target(self, views: Sequence[View], half_sides: Float[Tensor, " 3"], device: torch.device) -> SdfFunction:
         masked = [view for view in views if view.alpha is not None]
         if not masked:
-            raise DataError("the images have no masks, so there is no visual hull to start from; use --initializer sphere")
+            raise DataError(
+                "the images have no masks, so there is no visual hull to start from; use --initializer sphere"
+            )
         step = max(1, -(-len(masked) // self._max_views))
         carvers = [_carver(view.camera, view.alpha, device) for view in masked[::step] if view.alpha is not None]
 
@@ -60,8 +62,8 @@ def signed_mask_distance(alpha: Float[Tensor, "h w"]) -> Float[Tensor, "h w"]:
         return torch.full(coverage.shape, float(sum(coverage.shape)))
     if inside.all():
         return torch.full(coverage.shape, -float(sum(coverage.shape)))
-    outer = ndimage.distance_transform_edt(~inside)
-    inner = ndimage.distance_transform_edt(inside)
+    outer = np.asarray(ndimage.distance_transform_edt(~inside))
+    inner = np.asarray(ndimage.distance_transform_edt(inside))
     distance = np.where(inside, 0.5 - inner, outer - 0.5)
     at_outline = np.abs(distance) <= 0.5
     fractional = (coverage > 0.02) & (coverage < 0.98)

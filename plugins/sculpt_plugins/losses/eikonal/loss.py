@@ -10,8 +10,8 @@ from sculpt_framework.losses import GeometryLoss
 class Eikonal(GeometryLoss):
     """Mean over the band's cells of (|grad sdf| - 1)^2.
 
-    The gradient of a cell is the mean of the differences along its four parallel edges, which costs no evaluation of the
-    field and no second derivative of it. At a vanishing gradient the norm's own gradient is 0.
+    The gradient of a cell is the mean of the differences along its four parallel edges, which costs no evaluation of
+    the field and no second derivative of it. At a vanishing gradient the norm's own gradient is 0.
     """
 
     def __call__(self, extraction: Extraction) -> Float[Tensor, ""]:

@@ -5,7 +5,6 @@ import logging
 import torch
 
 from sculpt_framework.config import RasterizerConfig
-from sculpt_plugins.builtin import BUILTIN
 from sculpt_plugins.rasterizers.numba.config import NumbaRasterizerConfig
 from sculpt_plugins.rasterizers.reference.config import ReferenceRasterizerConfig
 

@@ -33,7 +33,6 @@ from .vector import (
     marked_lanes,
     prefetch_to_read,
     smaller,
-    splat,
     store,
     where_at_least,
 )

@@ -30,7 +30,12 @@ from .layout import (
 )
 
 # No "nnan" and "ninf" here: what is not finite has to be seen.
-_OPTIONS = {"fastmath": {"nsz", "arcp", "contract", "afn", "reassoc"}, "error_model": "numpy", "cache": True, "nogil": True}
+_OPTIONS = {
+    "fastmath": {"nsz", "arcp", "contract", "afn", "reassoc"},
+    "error_model": "numpy",
+    "cache": True,
+    "nogil": True,
+}
 _ZERO, _ONE, _TWO, _HALF = np.float32(0), np.float32(1), np.float32(2), np.float32(0.5)
 _EIGHTH = np.float32(EIGHTH)
 _ROOT_EIGHTH = np.float32(math.sqrt(EIGHTH))
@@ -41,7 +46,9 @@ _FLOAT_MAX = np.float32(3e38)
 
 
 @njit(parallel=True, **_OPTIONS)
-def project(means, scales, rotations, opacities, features, pose, lens, width, height, low_pass, records, bits, tiles, keys):
+def project(
+    means, scales, rotations, opacities, features, pose, lens, width, height, low_pass, records, bits, tiles, keys
+):
     """Fill ``records``, the tile rectangle ``tiles`` (first and last column, first and last row) and ``keys``.
 
     ``pose`` is the upper 3x4 of world-to-camera, ``lens`` fx, fy, cx, cy and the bounds of x/z and y/z inside the
@@ -219,8 +226,16 @@ def project_backward(
             to_rotations[i, 2, 1] = a_1 * w02 + b_1 * w12
             to_rotations[i, 2, 2] = a_2 * w02 + b_2 * w12
             # By the rows of J W (times depth / focal length).
-            c0, c1, c2 = a_0 * o00 + a_1 * o01 + a_2 * o02, a_0 * o10 + a_1 * o11 + a_2 * o12, a_0 * o20 + a_1 * o21 + a_2 * o22
-            d0, d1, d2 = b_0 * o00 + b_1 * o01 + b_2 * o02, b_0 * o10 + b_1 * o11 + b_2 * o12, b_0 * o20 + b_1 * o21 + b_2 * o22
+            c0, c1, c2 = (
+                a_0 * o00 + a_1 * o01 + a_2 * o02,
+                a_0 * o10 + a_1 * o11 + a_2 * o12,
+                a_0 * o20 + a_1 * o21 + a_2 * o22,
+            )
+            d0, d1, d2 = (
+                b_0 * o00 + b_1 * o01 + b_2 * o02,
+                b_0 * o10 + b_1 * o11 + b_2 * o12,
+                b_0 * o20 + b_1 * o21 + b_2 * o22,
+            )
             if at_x == along_x:
                 to_x -= c0 * v20 + c1 * v21 + c2 * v22
             if at_y == along_y:

@@ -3,13 +3,12 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-import numba
 import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sculpt_framework.kernel_cache import kernel_cache
+from sculpt_framework.cpu_kernels import kernel_cache, share_threads
 from sculpt_framework.rasterizers import Rasterizer, RasterOutput
 from sculpt_framework.rendering.projection import JACOBIAN_MARGIN
 from sculpt_framework.types import Camera
@@ -75,7 +74,7 @@ class NumbaRasterizer(Rasterizer):
             raise ValueError("features have no channels; at least one is needed")
         if not (0 < camera.width <= _LARGEST_IMAGE and 0 < camera.height <= _LARGEST_IMAGE):
             raise ValueError(f"image of {camera.width} x {camera.height} pixels; sides from 1 to {_LARGEST_IMAGE}")
-        threads = min(torch.get_num_threads(), numba.config.NUMBA_NUM_THREADS)
+        threads = share_threads()
         job = _Job(
             lens=_lens(camera),
             width=camera.width,
@@ -162,7 +161,6 @@ def _tile_lists(job: _Job, tiles: np.ndarray, keys: np.ndarray) -> tuple[np.ndar
 class _Rasterize(torch.autograd.Function):
     @staticmethod
     def forward(ctx, means, scales, rotations, opacities, features, pose, background, job):
-        numba.set_num_threads(job.threads)
         scratch = job.lease.scratch
         count, channels = features.shape
         arrays = [_array(tensor) for tensor in (means, scales, rotations, opacities, features, pose)]
@@ -196,7 +194,6 @@ class _Rasterize(torch.autograd.Function):
         means, scales, rotations, opacities, pose, *images = ctx.saved_tensors
         image, alpha, depth = (_array(tensor) for tensor in images)
         to_image, to_alpha, to_depth = gradients
-        numba.set_num_threads(job.threads)
         scratch = job.lease.scratch
         count, channels = records.shape[0], image.shape[2]
         bits = records.view(np.int32).reshape(-1)

@@ -1,4 +1,4 @@
-"""Where compiled numba kernels are kept between processes."""
+"""What all numba kernels share: where their machine code is kept between processes, and how many threads they use."""
 
 import hashlib
 import logging
@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numba
+import torch
 
 
 @contextmanager
@@ -47,3 +48,16 @@ def _user_folder() -> Path:
 def _digest(sources: Path) -> str:
     files = sorted(sources.glob("*.py")) if sources.is_dir() else [sources]
     return hashlib.sha256(b"\0".join(file.read_bytes() for file in files)).hexdigest()[:12]
+
+
+def share_threads() -> int:
+    """Let numba use as many threads as torch does, and return how many those are.
+
+    Both often run on the same OpenMP runtime, whose thread count numba sets to all cores when it starts up.
+    """
+    wanted = torch.get_num_threads()
+    threads = min(wanted, numba.config.NUMBA_NUM_THREADS)
+    numba.set_num_threads(threads)
+    if torch.get_num_threads() != wanted:
+        torch.set_num_threads(wanted)
+    return threads

@@ -132,7 +132,7 @@ class TrainerConfig:
     final_rate: float = 0.05
     """Share of their start to which learning rates fall over the run."""
     decay_power: float = 1.0
-    """1: rates fall exponentially; 2: by a bell curve, so that coarse stages, which move the surface far, keep theirs."""
+    """1: rates fall exponentially; 2: by a bell curve, so that coarse stages, which move surfaces far, keep theirs."""
     gradient_isolation: bool = True
     """Optimise a detached copy of the Gaussians in the inner loop; off: one joint update of everything (ablation)."""
     warm_start: bool = True

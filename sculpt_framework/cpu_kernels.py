@@ -11,6 +11,9 @@ from pathlib import Path
 import numba
 import torch
 
+# numba makes the attributes of its config when it is loaded, which the checker does not see.
+# pyright: reportAttributeAccessIssue=false, reportPrivateImportUsage=false
+
 
 @contextmanager
 def kernel_cache(name: str, sources: Path) -> Iterator[None]:

@@ -38,9 +38,9 @@ def gaussian_sculpting() -> MethodConfig:
         constraints=(MeeScaleConfig(), BoundaryConfig(), SpacingConfig(), CoverageConfig()),
         observers=(ConsoleConfig(), RecorderConfig()),
         trainer=TrainerConfig(
-            outer_steps=480,
+            outer_steps=600,
             base_cells=32,
-            final_rate=0.005,
+            final_rate=0.02,
             decay_power=2.0,
             stages=(
                 # Pixels about as large as cells: blurred images are what pulls a surface over long distances.

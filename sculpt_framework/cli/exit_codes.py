@@ -1,4 +1,4 @@
-"""How a command ends: 0 done, 2 the user can mend it, 1 training failed (both with one line on stderr), 130 interrupted.
+"""How a command ends: 0 done; 2 the user can mend it, 1 training failed, each with one line on stderr; 130 interrupted.
 
 A fault of ours keeps its traceback.
 """
@@ -11,7 +11,7 @@ from sculpt_framework.errors import SculptError, TrainingFailed
 
 
 def run(main: Callable[[], None]) -> None:
-    """Run a command. A SculptError and TrainingFailed become one line on stderr; any other error keeps its traceback."""
+    """Run a command. SculptError and TrainingFailed become one line on stderr; any other error keeps its traceback."""
     try:
         main()
     except (SculptError, TrainingFailed) as error:

@@ -1,10 +1,18 @@
 """Features on a pyramid of grids, fine ones hashed into tables (Müller et al. 2022)."""
 
-import numpy as np
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
 import torch
 from jaxtyping import Float, Int64
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
+
+from sculpt_framework.cpu_kernels import kernel_cache, share_threads
+
+with kernel_cache("hash-grid", Path(__file__).with_name("hash_grid_kernels.py")):
+    from sculpt_framework.encodings import hash_grid_kernels
 
 PRIMES = (1, 2654435761, 805459861)
 """Factors of a corner's indices in the hash, of which the low bits count."""
@@ -55,48 +63,68 @@ class HashEncoding(nn.Module):
             raise ValueError(f"{active} active levels of a hash grid that has {len(self.resolutions)}")
         tables, resolutions = list(self.tables)[:active], self.resolutions[:active]
         if active and points.device.type == "cpu" and points.dtype == tables[0].dtype == torch.float32:
-            encoded = _FusedEncoding.apply(points, resolutions, *tables)
+            encoded = _CompiledEncoding.apply(points, resolutions, *tables)
         else:
             encoded = encode_in_torch(points, tables, resolutions)
         idle = (len(self.resolutions) - active) * self.features_per_level
         return torch.cat([encoded, encoded.new_zeros(points.shape[0], idle)], dim=1) if idle else encoded
 
 
-class _FusedEncoding(torch.autograd.Function):
-    """``encode_in_torch`` for float32 on the CPU, in fused kernels. Not differentiable twice."""
+class _CompiledEncoding(torch.autograd.Function):
+    """``encode_in_torch`` for float32 on the CPU, level by level. Not differentiable twice."""
 
     @staticmethod
     def forward(ctx, points: Tensor, resolutions: tuple[int, ...], *tables: Tensor) -> Tensor:
-        from sculpt_framework.encodings.hash_grid_numba import encode_forward
-
         ctx.resolutions = resolutions
         ctx.save_for_backward(points, *tables)
-        out = torch.empty(points.shape[0], sum(table.shape[1] for table in tables))
-        arrays = tuple(table.detach().numpy() for table in tables)
-        encode_forward(points.detach().contiguous().numpy(), arrays, np.array(resolutions), out.numpy())
+        share_threads()
+        features = tables[0].shape[1]
+        out = torch.empty(points.shape[0], len(tables) * features)
+        where = points.detach().contiguous().numpy()
+        for level, (table, resolution) in enumerate(zip(tables, resolutions, strict=True)):
+            values = table.detach().contiguous().numpy()
+            hash_grid_kernels.encode_level(where, values, resolution, level * features, out.numpy())
         return out
 
     @staticmethod
     @once_differentiable
-    def backward(ctx, grad_out: Tensor) -> tuple[Tensor | None, ...]:
-        from sculpt_framework.encodings.hash_grid_numba import encode_backward, encode_backward_points
-
+    def backward(ctx, to_out: Tensor) -> tuple[Tensor | None, ...]:
         points, *tables = ctx.saved_tensors
-        where, gradient = points.detach().contiguous().numpy(), grad_out.contiguous().numpy()
-        resolutions = np.array(ctx.resolutions)
-        grad_points = None
+        threads, features = share_threads(), tables[0].shape[1]
+        where, slopes = points.detach().contiguous().numpy(), to_out.contiguous().numpy()
+        levels = list(enumerate(zip(tables, ctx.resolutions, strict=True)))
+        to_points = None
         if ctx.needs_input_grad[0]:
-            grad_points = torch.empty_like(points)
-            arrays = tuple(table.detach().numpy() for table in tables)
-            encode_backward_points(where, arrays, resolutions, gradient, grad_points.numpy())
-        grad_tables: list[Tensor | None] = [None] * len(tables)
-        if any(ctx.needs_input_grad[2:]):
-            grads = [torch.zeros_like(table) for table in tables]
-            entries = np.array([table.shape[0] for table in tables])
-            arrays = tuple(grad.numpy() for grad in grads)
-            encode_backward(where, resolutions, entries, tables[0].shape[1], gradient, arrays)
-            grad_tables = list(grads)
-        return grad_points, None, *grad_tables
+            to_points = torch.zeros(points.shape)
+            for level, (table, resolution) in levels:
+                values = table.detach().contiguous().numpy()
+                hash_grid_kernels.differentiate_points(
+                    where, values, resolution, level * features, slopes, to_points.numpy()
+                )
+        to_tables: list[Tensor | None] = [None] * len(tables)
+
+        def differentiate_table(level: int) -> None:
+            if ctx.needs_input_grad[2 + level]:
+                to_table = torch.zeros(tables[level].shape)
+                hash_grid_kernels.differentiate_table(
+                    where, ctx.resolutions[level], level * features, slopes, to_table.numpy()
+                )
+                to_tables[level] = to_table
+
+        # The finest first: they take longest.
+        _on_threads(differentiate_table, reversed(range(len(tables))), threads)
+        return to_points, None, *to_tables
+
+
+def _on_threads(work: Callable[[int], None], items: Iterable[int], threads: int) -> None:
+    """Do the work for each item; the kernels in it let go of the interpreter."""
+    if threads == 1:
+        for item in items:
+            work(item)
+        return
+    with ThreadPoolExecutor(threads) as pool:
+        for _ in pool.map(work, items):
+            pass
 
 
 def encode_in_torch(

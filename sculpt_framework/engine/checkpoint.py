@@ -9,7 +9,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
-from sculpt_framework.engine.pipeline import Progress
+from sculpt_framework.engine.state import Progress
 from sculpt_framework.errors import CheckpointError
 from sculpt_framework.export.atomic import write_atomically
 

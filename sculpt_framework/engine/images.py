@@ -1,7 +1,7 @@
 """Training images of a stage: cropped to the object, scaled, in the object frame."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -57,14 +57,15 @@ def prepare_image(view: View, box: Box, scale: float, device: torch.device, *, c
     )
 
 
+def in_object_frame(view: View, box: Box) -> View:
+    """The same view with its camera in the object frame."""
+    return replace(view, camera=box.camera_to_object(view.camera))
+
+
 def pixel_footprint(images: Sequence[TrainingImage]) -> float:
     """Side of a pixel at the object's centre in object units, median over the views."""
     sides = [float(image.camera.world_to_camera[:3, 3].norm()) / image.camera.fx for image in images]
     return float(np.median(sides))
-
-
-def prepare_images(views: Sequence[View], box: Box, scale: float, device: torch.device) -> list[TrainingImage]:
-    return [prepare_image(view, box, scale, device) for view in views]
 
 
 def _shrink(image: Float[Tensor, "h w *c"], width: int, height: int) -> Float[Tensor, "h2 w2 *c"]:

@@ -4,6 +4,8 @@ import math
 import resource
 import sys
 from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
 
 import numpy as np
 import torch
@@ -20,7 +22,7 @@ from sculpt_framework.types import Gaussians
 def image_measures(
     rasterizer: Rasterizer, gaussians: Gaussians, images: Sequence[TrainingImage], low_pass_px2: float
 ) -> dict[str, float | None]:
-    """Means over the images of psnr (dB), ssim and iou (of the masks), on white; None where there is nothing to tell."""
+    """Means over the images of psnr (dB), ssim and iou (of masks), on white; None where there is nothing to tell."""
     scores: dict[str, list[float]] = {"psnr": [], "ssim": [], "iou": []}
     for image in images:
         white = torch.ones(3).to(image.premultiplied)
@@ -41,11 +43,21 @@ def mesh_measures(mesh: Mesh, reference: MeasuredMesh | None, samples: int) -> d
         return out
     out["under10_pct"] = triangle_quality(mesh).under10_pct
     if reference is not None:
-        result = chamfer(mesh, reference, samples=samples)
+        result = chamfer(mesh, reference, samples=samples, point_to_point=False)
         if math.isfinite(result.point_to_surface):
             out["chamfer_ps"] = result.point_to_surface
             out["fscore"] = result.fscore
             out["normal_consistency"] = result.normal_consistency
+    return out
+
+
+def result_measures(mesh: Mesh, reference: Mesh) -> dict[str, Any]:
+    """All that is measured of a result: the curve's columns, and each variant of the distance by its own name."""
+    out: dict[str, Any] = mesh_measures(mesh, None, 0)
+    if len(mesh.faces) > 0:
+        distances = chamfer(mesh, reference)
+        out |= asdict(distances)
+        out |= {"chamfer_ps": distances.point_to_surface, "fscore": distances.fscore}
     return out
 
 

@@ -3,56 +3,45 @@
 import math
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from sculpt_framework.config import MethodConfig, StageConfig
+from sculpt_framework.engine import announcements
 from sculpt_framework.engine.assembly import build_parts, split_views
 from sculpt_framework.engine.clock import TrainingClock, process_start
 from sculpt_framework.engine.events import Event, EventName
-from sculpt_framework.engine.images import TrainingImage, pixel_footprint, prepare_image, prepare_images
+from sculpt_framework.engine.images import TrainingImage, in_object_frame, pixel_footprint, prepare_image
 from sculpt_framework.engine.initial_fit import fit_field
-from sculpt_framework.engine.measuring import image_measures, mesh_measures, resident_megabytes
+from sculpt_framework.engine.measuring import image_measures, mesh_measures, resident_megabytes, result_measures
 from sculpt_framework.engine.milestones import Milestones
 from sculpt_framework.engine.reconstruction import Reconstruction, object_gaussians, reconstruct, world_mesh
 from sculpt_framework.engine.schedule import Schedule
-from sculpt_framework.engine.state import capture, restore
-from sculpt_framework.evaluation.certificate import certify
+from sculpt_framework.engine.state import Progress, capture, restore, split_best, with_best
+from sculpt_framework.engine.view_pictures import view_pictures
+from sculpt_framework.errors import CheckpointError, TrainingFailed
 from sculpt_framework.evaluation.geometry import MeasuredMesh
 from sculpt_framework.evaluation.mesh import load_mesh
+from sculpt_framework.evaluation.pictures import Picture
 from sculpt_framework.extractors import EmptySurfaceError
 from sculpt_framework.geometry.band import discover
 from sculpt_framework.geometry.grid import refine_cells
-from sculpt_framework.types import Scene, View
+from sculpt_framework.types import Scene, Surface, View
 
 _CURVE_SAMPLES = 20_000
-_FINAL_SAMPLES = 200_000
 _HELD_OUT_AT_MOST = 10
 """More views than this add evaluation time, not knowledge."""
+_POLISH_CHUNK = 10
+"""Inner steps between two looks at the clock."""
 _RECOVERIES_AT_MOST = 3
+_UNSTABLE = (FloatingPointError, EmptySurfaceError)
+"""What a step or a measurement raises when the optimisation has gone wrong."""
 _LIPSCHITZ = 1.5
 """A fitted field is not quite a distance: cells are searched as if it could be this much steeper."""
 _INITIAL_CELLS = 64
 """Cells along the longest side at which the initial surface is tabulated."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Progress:
-    """Where a run stood when it was saved; with the captured tensors, all that resuming needs."""
-
-    outer: int
-    trained_seconds: float
-    stage: int
-    best_psnr: float | None
-    rate_scale: float
-    milestones: list[dict[str, Any]]
-
-
-class TrainingFailed(RuntimeError):
-    """Training could not go on, after repeated recovery; the message names what failed."""
 
 
 class Pipeline:
@@ -83,7 +72,7 @@ class Pipeline:
         self._generator = torch.Generator().manual_seed(config.seed)
         self._parts = build_parts(config, self.scene.box, self._generator)
         self._trainer = self._parts.trainer
-        self._schedule = Schedule(config.trainer, self._deadline())
+        self._schedule = Schedule(config.trainer, self._deadline(share_left=0.08, seconds_left=3.0))
         chosen, held_out = split_views(len(self.scene.train), config.trainer.holdout_every)
         self._views = [self.scene.train[index] for index in chosen]
         self._held_out = [self._whole_image(self.scene.train[index]) for index in held_out[:_HELD_OUT_AT_MOST]]
@@ -92,7 +81,9 @@ class Pipeline:
         self._milestones = Milestones()
         self._stage_index = -1
         self._images: list[TrainingImage] = []
-        self._final: dict[str, Any] = {}
+        self.failure: str | None = None
+        """Why training ended early, if it failed; what it returned is the best it had then."""
+        self._status = "finished"
         self._best: tuple[float, dict[str, Tensor]] | None = None
         self._last_good: dict[str, Tensor] | None = None
         self._rate_scale = 1.0
@@ -104,7 +95,10 @@ class Pipeline:
     # -- the run -------------------------------------------------------------------------------------------------
 
     def train(self, resume: tuple[Mapping[str, Tensor], Progress] | None = None) -> Reconstruction:
-        """Optimise and return the result. Raises TrainingFailed, or DataError if no start can be made from the data."""
+        """Optimise and return the result; ``failure`` says whether that had to end early.
+
+        Raises DataError if no start can be made from the data, and TrainingFailed if there never was a surface.
+        """
         self._announce()
         self.clock.start()
         self._schedule.begin()
@@ -112,21 +106,28 @@ class Pipeline:
             self._start()
         else:
             self._resume(*resume)
-        stopped = False
-        while (progress := self._schedule.progress(self.outer)) < 1.0:
-            if self._should_stop():
-                stopped = True
-                break
-            stage = self._enter_stage(progress)
-            self._step(stage, progress)
-            self._report_if_due(self._schedule.progress(self.outer))
-        return self._finish("stopped" if stopped else "finished")
+        try:
+            while (progress := self._schedule.progress(self.outer)) < 1.0:
+                if self._should_stop():
+                    self._status = "stopped"
+                    break
+                self._advance(progress)
+            if self._trainer.seeds is None:
+                self._enter_stage(progress)
+            # Before the end changes anything, so that going on from here is as if there had been no stop.
+            self.save_checkpoint()
+        except TrainingFailed as error:
+            if self._last_good is None:
+                raise
+            self._status, self.failure = "failed", str(error)
+            self._emit("warning", {"message": self.failure})
+        return self._finish()
 
     def _start(self) -> None:
         """Fit the field to the initial surface and find the cells it passes through."""
         device = self._parts.device
         initializer = self.config.initializer.build()
-        views = [self._in_object_frame(view) for view in self._views]
+        views = [in_object_frame(view, self.scene.box) for view in self._views]
         target = initializer.target(views, self.scene.box.half_sides, device)
         level = 0
         while self.config.trainer.base_cells << (level + 1) <= _INITIAL_CELLS:
@@ -143,6 +144,14 @@ class Pipeline:
         )
         self._emit("decision", {"item": "initial surface", "value": type(initializer).__name__, "fit_error": error})
 
+    def _advance(self, progress: float) -> None:
+        """One outer step, with what comes before and after it."""
+        try:
+            self._step(self._enter_stage(progress), progress)
+            self._report_if_due(self._schedule.progress(self.outer))
+        except _UNSTABLE as error:
+            self._recover(error)
+
     def _enter_stage(self, progress: float) -> StageConfig:
         index = self._schedule.stage_index(progress)
         stage = self.config.trainer.stages[index]
@@ -154,37 +163,29 @@ class Pipeline:
         self._stage_index = index
         if self._trainer.seeds is None:
             self._discover()
-        grid = self._trainer.extractor.grid
-        self._emit(
-            "stage",
-            {
-                "index": index,
-                "count": len(self.config.trainer.stages),
-                "level": stage.level,
-                "grid": list(grid.shape),
-                "image_scale": stage.image_scale,
-                "inner_steps": stage.inner_steps,
-                "silhouette_only": stage.silhouette_only,
-            },
-        )
+        self._announce_stage(index)
         self._evaluate("stage", progress)
         self._keep_good()
         return stage
 
+    def _announce_stage(self, index: int) -> None:
+        stages, grid = self.config.trainer.stages, self._trainer.extractor.grid
+        self._emit("stage", announcements.stage_entered(index, stages, grid))
+
     def _load_images(self, stage: StageConfig) -> None:
-        self._images = prepare_images(self._views, self.scene.box, stage.image_scale, self._parts.device)
-        pixel = pixel_footprint(self._images)
-        self._trainer.scene.blur = math.sqrt(self.config.trainer.low_pass_px2) * pixel
+        box, device = self.scene.box, self._parts.device
+        self._images = [prepare_image(view, box, stage.image_scale, device) for view in self._views]
+        self._trainer.scene.blur = math.sqrt(self.config.trainer.low_pass_px2) * pixel_footprint(self._images)
 
     def _set_level(self, level: int) -> None:
-        trainer, grid = self._trainer, self._parts.grid.at_level(level)
-        if trainer.extractor.grid == grid and trainer.extraction is not None:
+        trainer, grid, old = self._trainer, self._parts.grid.at_level(level), self._trainer.extractor.grid
+        if grid == old:
             return
         trainer.extractor.set_grid(grid)
         trainer.field.set_detail(grid.cell)
-        if trainer.extraction is not None:
+        if trainer.seeds is not None:
             # The surface's cells on the old level hold those on the new one, and the extraction follows it from there.
-            trainer.seeds = refine_cells(trainer.extraction.cells, trainer.extraction.grid, grid)
+            trainer.seeds = refine_cells(trainer.seeds, old, grid)
 
     def _discover(self) -> None:
         field, grid = self._trainer.field, self._trainer.extractor.grid
@@ -193,28 +194,11 @@ class Pipeline:
         )
 
     def _step(self, stage: StageConfig, progress: float) -> None:
-        try:
-            report = self._trainer.outer_step(
-                self._images, stage, self._schedule.rate_factor(progress) * self._rate_scale
-            )
-        except (FloatingPointError, EmptySurfaceError) as error:
-            self._recover(error)
-            return
+        report = self._trainer.outer_step(self._images, stage, self._schedule.rate_factor(progress) * self._rate_scale)
         self.outer += 1
-        self._emit(
-            "outer_step",
-            {
-                "progress": self._schedule.progress(self.outer),
-                "loss": report.loss,
-                "terms": report.terms,
-                "inner_loss": report.inner_loss,
-                "faces": report.faces,
-                "gaussians": report.gaussians,
-                "psnr": self._milestones.latest("psnr"),
-                "rss_mb": resident_megabytes(),
-                "eta_s": self._eta(),
-            },
-        )
+        progress, psnr = self._schedule.progress(self.outer), self._milestones.latest("psnr")
+        data = announcements.outer_step(report, progress=progress, psnr=psnr, eta_seconds=self._eta())
+        self._emit("outer_step", data)
 
     def _recover(self, error: Exception) -> None:
         """Back to the last good state at half the learning rates; give up after repeated failure."""
@@ -222,32 +206,63 @@ class Pipeline:
         if self._last_good is None or self._recoveries > _RECOVERIES_AT_MOST:
             raise TrainingFailed(f"training cannot go on after {self.outer} outer steps: {error}") from error
         self._rate_scale *= 0.5
-        restore(self._trainer, self._generator, self._last_good)
+        self._return_to(self._last_good)
         self._emit("recovered", {"error": str(error), "rate_scale": self._rate_scale, "attempt": self._recoveries})
 
-    def _finish(self, status: str) -> Reconstruction:
-        trainer = self._trainer
-        if self._trainer.seeds is None:
-            self._enter_stage(0.0)
-        self._evaluate("end of optimisation", 1.0)
+    def _return_to(self, state: Mapping[str, Tensor]) -> None:
+        """Load a captured state, whatever stage it is of. If that is not the current stage, it is entered again."""
+        index = int(state["stage"])
+        grid = self._parts.grid.at_level(self.config.trainer.stages[index].level)
+        self._trainer.extractor.set_grid(grid)
+        self._trainer.field.set_detail(grid.cell)
+        restore(self._trainer, self._generator, state)
+        self._stage_index = index
+
+    def _finish(self) -> Reconstruction:
+        """Choose the state to keep and learn its colours to the end."""
+        trainer, progress = self._trainer, self._schedule.progress(self.outer)
+        if self._status == "failed" and self._last_good is not None:
+            self._return_to(self._last_good)
+        try:
+            self._evaluate("end of optimisation", progress)
+        except _UNSTABLE as error:
+            self._recover(error)
+            self._evaluate("end of optimisation", progress)
         latest = self._milestones.latest("psnr")
         if self._best is not None and latest is not None and self._best[0] > latest + 0.02:
             self._emit("decision", {"item": "kept state", "value": "best", "psnr": self._best[0], "last_psnr": latest})
-            restore(trainer, self._generator, self._best[1])
-        extraction = trainer.extract()
-        surface = extraction.surface.detach()
-        trainer.scene.follow(surface)
-        trainer.inner_loop(surface, self._images, self.config.trainer.polish_steps, rate_factor=0.3)
+            self._return_to(self._best[1])
+        surface = self._follow_surface()
+        kept = capture(trainer, self._stage_index, self._generator)
+        try:
+            self._polish(surface)
+        except FloatingPointError as error:
+            self._emit("warning", {"message": f"colours are as training left them: {error}"})
+            self._return_to(kept)
+            surface = self._follow_surface()
         self.clock.stop()
-        result = reconstruct(trainer.scene, surface, self.scene.box)
-        self._report_end(result, status)
-        return result
+        return reconstruct(trainer.scene, surface, self.scene.box)
+
+    def _polish(self, surface: Surface) -> None:
+        """Colours on the final surface, for as many steps as the method says and the time limit allows."""
+        deadline = self._deadline(share_left=0.025, seconds_left=2.0)
+        for _ in range(0, self.config.trainer.polish_steps, _POLISH_CHUNK):
+            if deadline is not None and time.monotonic() >= deadline:
+                return
+            self._trainer.inner_loop(surface, self._images, _POLISH_CHUNK, rate_factor=0.3)
+
+    def _follow_surface(self) -> Surface:
+        """The current surface without gradient, with the Gaussians' rows on it."""
+        surface = self._trainer.extract().surface.detach()
+        self._trainer.scene.follow(surface)
+        return surface
 
     # -- measuring and telling -----------------------------------------------------------------------------------
 
     def _report_if_due(self, progress: float) -> None:
-        if self._milestones.due(progress, self.clock.train_seconds, self._evaluation_seconds):
-            self._evaluate("time", progress)
+        reason = self._milestones.due(progress, self.clock.train_seconds, self._evaluation_seconds)
+        if reason is not None:
+            self._evaluate(reason, progress)
             self._keep_good()
         now = time.monotonic()
         if self._snapshot_seconds is not None and now - self._last_snapshot >= self._snapshot_seconds:
@@ -259,60 +274,60 @@ class Pipeline:
         """Measure the current surface on held-out views and against the reference; the clock stands still meanwhile."""
         began = time.monotonic()
         with self.clock.pause(), torch.no_grad():
-            trainer = self._trainer
-            extraction = trainer.extract()
-            surface = extraction.surface.detach()
+            scene, surface = self._trainer.scene, self._follow_surface()
             row: dict[str, Any] = {"reason": reason, "progress": progress}
-            row |= {"inner": trainer.inner_total, "faces": surface.faces.shape[0]}
-            row |= {"gaussians": surface.faces.shape[0] * trainer.scene.binder.gaussians_per_face}
-            row |= {"grid": max(extraction.grid.shape), "rss_mb": resident_megabytes()}
+            row |= {"inner": self._trainer.inner_total, "faces": surface.faces.shape[0]}
+            row |= {"gaussians": surface.faces.shape[0] * scene.binder.gaussians_per_face}
+            row |= {"grid": max(self._trainer.extractor.grid.shape), "rss_mb": resident_megabytes()}
             row |= {"t_cpu_s": self.clock.cpu_seconds}
-            trainer.scene.follow(surface)
-            gaussians = object_gaussians(trainer.scene, surface)
-            row |= image_measures(self._parts.rasterizer, gaussians, self._held_out, self.config.trainer.low_pass_px2)
+            gaussians, low_pass = object_gaussians(scene, surface), self.config.trainer.low_pass_px2
+            row |= image_measures(self._parts.rasterizer, gaussians, self._held_out, low_pass)
+            if row["psnr"] is not None and not math.isfinite(row["psnr"]):
+                raise FloatingPointError("the rendering of a held-out view is not finite")
             row |= mesh_measures(world_mesh(surface, self.scene.box)[0], self._reference, _CURVE_SAMPLES)
         self._milestones.add(progress, row)
         self._evaluation_seconds += time.monotonic() - began
         self._emit("evaluation", row)
-        if row["psnr"] is not None and self._stage_index == len(self.config.trainer.stages) - 1:
-            if self._best is None or row["psnr"] > self._best[0]:
-                self._best = (row["psnr"], capture(trainer, self._stage_index, self._generator))
+        self._keep_best(reason, row["psnr"])
 
-    def _report_end(self, result: Reconstruction, status: str) -> None:
-        final = dict(self._milestones.rows[-1]) if self._milestones.rows else {}
-        mesh = result.mesh
-        if self._reference is not None and len(mesh.faces) > 0:
-            final |= mesh_measures(mesh, MeasuredMesh(self._reference.mesh, _FINAL_SAMPLES), _FINAL_SAMPLES)
+    def _keep_best(self, reason: str, score: float | None) -> None:
+        """Keep the state if its held-out views are the best of the last stage so far.
+
+        Where the run counts steps, measurements at clock times are passed over: which state wins must not depend on how
+        fast the machine is.
+        """
+        last = self._stage_index == len(self.config.trainer.stages) - 1
+        repeatable = self.config.max_time is not None or reason != "time"
+        if score is not None and last and repeatable and (self._best is None or score > self._best[0]):
+            self._best = (score, capture(self._trainer, self._stage_index, self._generator))
+
+    def announce_end(self, result: Reconstruction, files: Mapping[str, str]) -> None:
+        """Measure the result and tell that the run is over and where its files are; the last event but for warnings."""
+        self._evaluate("result", self._schedule.progress(self.outer))
+        final, mesh = dict(self._milestones.rows[-1]), result.mesh
+        if self._reference is not None:
+            final |= result_measures(mesh, self._reference.mesh)
         final |= {"faces": len(mesh.faces), "gaussians": len(result.gaussians), "rss_mb": resident_megabytes()}
-        self._final = {
-            "status": status,
-            "final": final,
-            "certificate": asdict(certify(mesh.vertices, mesh.faces)),
-            "milestones": self._milestones.shares(),
-        }
+        shares = self._milestones.shares()
+        data = announcements.run_ended(mesh, status=self._status, failure=self.failure, final=final, milestones=shares)
+        self._emit("run_ended", {**data, **files, "seconds": self.clock.wall_seconds})
 
-    def announce_end(self, files: Mapping[str, str]) -> None:
-        """Tell that the run is over and where its files are; the last event."""
-        self._emit("run_ended", {**self._final, **files, "seconds": self.clock.wall_seconds})
+    def pictures(self) -> dict[str, Picture]:
+        """A held-out view, or a train view if none is, beside what the current Gaussians make of it."""
+        image = self._held_out[0] if self._held_out else self._whole_image(self._views[0])
+        gaussians = object_gaussians(self._trainer.scene, self._follow_surface())
+        return view_pictures(self._parts.rasterizer, gaussians, image, self.config.trainer.low_pass_px2)
+
+    def warn(self, message: str) -> None:
+        """Tell of something that went wrong but ends nothing."""
+        self._emit("warning", {"message": message})
 
     def _announce(self) -> None:
-        box = self.scene.box
-        self._emit(
-            "run_started",
-            {
-                "method": self.config.method,
-                "scene": self.scene.name,
-                "notes": list(self.scene.notes),
-                "total_steps": self._schedule.total_steps,
-                "max_time": self.config.max_time,
-                "views": len(self._views),
-                "held_out": len(self._held_out),
-                "box": [box.minimum.tolist(), box.maximum.tolist()],
-                "device": str(self._parts.device),
-                "rasterizer": type(self._parts.rasterizer).__name__,
-                "seed": self.config.seed,
-            },
+        views, held_out, steps = len(self._views), len(self._held_out), self._schedule.total_steps
+        data = announcements.run_started(
+            self.config, self.scene, self._parts, views=views, held_out=held_out, total_steps=steps
         )
+        self._emit("run_started", data)
 
     def _emit(self, name: EventName, data: Mapping[str, Any]) -> None:
         self._emit_event(
@@ -328,9 +343,7 @@ class Pipeline:
     def _snapshot(self) -> None:
         """The current surface in world frame, for whoever shows it."""
         with self.clock.pause(), torch.no_grad():
-            extraction = self._trainer.extraction
-            if extraction is not None:
-                self._trainer.scene.follow(extraction.surface)
+            if self._trainer.extraction is not None:
                 self._emit("snapshot", {"reconstruction": self.current()})
         self._last_snapshot = time.monotonic()
 
@@ -349,29 +362,37 @@ class Pipeline:
         with self.clock.pause():
             progress = Progress(
                 outer=self.outer,
+                progress=self._schedule.progress(self.outer),
                 trained_seconds=self.clock.train_seconds,
-                stage=self._stage_index,
                 best_psnr=None if self._best is None else self._best[0],
                 rate_scale=self._rate_scale,
+                recoveries=self._recoveries,
                 milestones=self._milestones.rows,
             )
-            self._save(capture(self._trainer, self._stage_index, self._generator), progress)
+            state = capture(self._trainer, self._stage_index, self._generator)
+            self._save(with_best(state, None if self._best is None else self._best[1]), progress)
             self._last_checkpoint = time.monotonic()
         self._emit("checkpoint", {"outer": self.outer})
 
     def _resume(self, state: Mapping[str, Tensor], progress: Progress) -> None:
         self.outer = progress.outer
-        self._rate_scale = progress.rate_scale
+        self._rate_scale, self._recoveries = progress.rate_scale, progress.recoveries
         self._milestones = Milestones(progress.milestones)
-        stage = self.config.trainer.stages[progress.stage]
-        self._trainer.extractor.set_grid(self._parts.grid.at_level(stage.level))
-        self._trainer.field.set_detail(self._trainer.extractor.grid.cell)
-        restore(self._trainer, self._generator, state)
-        self._stage_index = progress.stage
+        self._schedule.begin(progress.progress)
+        latest, best = split_best(state)
+        try:
+            self._return_to(latest)
+        except (KeyError, RuntimeError) as error:
+            raise CheckpointError(f"the checkpoint does not fit the run's config.json ({error})") from error
+        if progress.best_psnr is not None:
+            self._best = (progress.best_psnr, best)
+        stage = self.config.trainer.stages[self._stage_index]
         self._load_images(stage)
         self.clock.stop()
         self.clock = TrainingClock(time.monotonic() - self.clock.wall_seconds, progress.trained_seconds)
         self.clock.start()
+        self._emit("action", {"message": f"going on after outer step {self.outer}"})
+        self._announce_stage(self._stage_index)
         self._keep_good()
 
     def _keep_good(self) -> None:
@@ -379,12 +400,12 @@ class Pipeline:
 
     # -- small things --------------------------------------------------------------------------------------------
 
-    def _deadline(self) -> float | None:
-        """When optimisation must end for the mesh to be saved in time."""
+    def _deadline(self, *, share_left: float, seconds_left: float) -> float | None:
+        """The instant at which so much of ``--max-time`` is left; None without a limit."""
         if self.config.max_time is None:
             return None
-        reserve = max(4.0, 0.04 * self.config.max_time)
-        return time.monotonic() - self.clock.wall_seconds + max(1.0, self.config.max_time - reserve)
+        left = seconds_left + share_left * self.config.max_time
+        return time.monotonic() - self.clock.wall_seconds + max(1.0, self.config.max_time - left)
 
     def _eta(self) -> float | None:
         progress = self._schedule.progress(self.outer)
@@ -392,7 +413,3 @@ class Pipeline:
 
     def _whole_image(self, view: View) -> TrainingImage:
         return prepare_image(view, self.scene.box, 1.0, self._parts.device, crop=False)
-
-    def _in_object_frame(self, view: View) -> View:
-        camera = self.scene.box.camera_to_object(view.camera)
-        return View(name=view.name, camera=camera, rgb=view.rgb, alpha=view.alpha)

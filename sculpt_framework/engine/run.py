@@ -3,6 +3,7 @@
 import json
 import logging
 import signal
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -20,10 +21,12 @@ from sculpt_framework.engine.events import Event
 from sculpt_framework.engine.images import prepare_image
 from sculpt_framework.engine.measuring import image_measures
 from sculpt_framework.engine.output import prepare_output
-from sculpt_framework.engine.pipeline import Pipeline, Progress
+from sculpt_framework.engine.pipeline import Pipeline
 from sculpt_framework.engine.reconstruction import Reconstruction
-from sculpt_framework.errors import CheckpointError
-from sculpt_framework.export.atomic import write_atomically
+from sculpt_framework.engine.state import Progress
+from sculpt_framework.errors import CheckpointError, SculptError, TrainingFailed
+from sculpt_framework.evaluation.report import write_report
+from sculpt_framework.export.atomic import cannot_write, write_atomically
 from sculpt_framework.export.gaussian_files import read_gaussians_ply, write_gaussians_ply
 from sculpt_framework.export.mesh_files import write_mesh_glb, write_mesh_ply
 from sculpt_framework.observers import Observer
@@ -32,28 +35,38 @@ from sculpt_framework.types import Gaussians, Scene
 
 CONFIG_NAME = "config.json"
 CHECKPOINTS = "checkpoints"
+MESH_NAME = "mesh.ply"
+REPORT_NAME = "report.html"
 _log = logging.getLogger("sculpt")
 
 
 def run(config: MethodConfig, *, resume: Path | None, started: float) -> None:
     """Train and leave the results in the run directory.
 
-    ``started`` is the ``time.monotonic()`` instant that ``--max-time`` counts from. With ``resume`` the config comes
-    from that directory and ``config`` only says where. Raises SculptError for whatever the user can mend.
+    ``started`` is the ``time.monotonic()`` instant that ``--max-time`` counts from. With ``resume`` that directory's
+    run goes on from its checkpoint, under the config given, which the caller has read from there; a run that has
+    finished is left as it is.
+
+    Raises SculptError for whatever the user can mend, and TrainingFailed where training had to end early, after saving
+    the best there was by then.
     """
+    if resume is not None and run_status(resume) == "finished":
+        sys.stdout.write(f"{resume} has finished already; its mesh is {resume / MESH_NAME}\n")
+        return
+    saved = None if resume is None else read_checkpoint(resume / CHECKPOINTS)
     if config.threads is not None:
         torch.set_num_threads(config.threads)
     pick_device(config.device)
     scene = config.dataset.build(config.data).load()
-    saved = None
     if resume is None:
         folder = prepare_output(config)
         write_atomically(folder / CONFIG_NAME, config_to_json(config).encode())
     else:
         folder = resume
-        saved = read_checkpoint(folder / CHECKPOINTS)
-    checkpoints = folder / CHECKPOINTS
-    checkpoints.mkdir(exist_ok=True)
+    try:
+        (folder / CHECKPOINTS).mkdir(exist_ok=True)
+    except OSError as error:
+        raise cannot_write(folder / CHECKPOINTS, error) from error
     observers = [observer.build(folder) for observer in config.observers]
     try:
         with stop_on_interrupt() as stop_requested:
@@ -91,13 +104,20 @@ def _train(
     )
     result = pipeline.train(saved)
     files = write_results(folder, result)
-    pipeline.save_checkpoint()
-    pipeline.announce_end({"run_dir": str(folder), **files})
+    report = folder / REPORT_NAME
+    pipeline.announce_end(result, {"run_dir": str(folder), **files, "report": str(report)})
+    try:
+        write_report(folder, pipeline.pictures())
+    except SculptError as error:
+        # The mesh is saved and measured: a page about it is not worth losing that.
+        pipeline.warn(f"no report: {error}")
+    if pipeline.failure is not None:
+        raise TrainingFailed(f"{pipeline.failure}; the best mesh until then is {files['mesh']}")
 
 
 def write_results(folder: Path, result: Reconstruction) -> dict[str, str]:
     """Write mesh and Gaussians; returns their paths by kind."""
-    paths = {"mesh": folder / "mesh.ply", "glb": folder / "mesh.glb", "gaussians": folder / "gaussians.ply"}
+    paths = {"mesh": folder / MESH_NAME, "glb": folder / "mesh.glb", "gaussians": folder / "gaussians.ply"}
     write_mesh_ply(paths["mesh"], result.vertices, result.faces, result.colors)
     write_mesh_glb(paths["glb"], result.vertices, result.faces, result.colors)
     write_gaussians_ply(paths["gaussians"], result.gaussians)
@@ -175,9 +195,10 @@ def load_finished(folder: Path) -> FinishedRun:
 
 
 def run_status(folder: Path) -> str | None:
-    """ "finished", "stopped" or None while a run has no metrics yet."""
+    """How a run ended: finished, stopped or failed; None if it has not, or if that cannot be read any more."""
     path = folder / "metrics.json"
-    if not path.is_file():
+    try:
+        metrics: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        return metrics.get("status")
+    except (OSError, ValueError, AttributeError):
         return None
-    metrics: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    return metrics.get("status")

@@ -1,6 +1,8 @@
 """The whole state of the optimisation as named tensors: for checkpoints, for keeping the best, for recovery."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -8,12 +10,27 @@ from torch import Tensor, nn
 from sculpt_framework.engine.trainer import BiLevelTrainer
 
 
-def capture(trainer: BiLevelTrainer, level: int, generator: torch.Generator) -> dict[str, Tensor]:
-    """Copies of everything the next step depends on."""
+@dataclass(frozen=True, kw_only=True)
+class Progress:
+    """Where a run stood when it was saved; with the captured tensors, all that resuming needs."""
+
+    outer: int
+    progress: float
+    """Share of the run that is done."""
+    trained_seconds: float
+    best_psnr: float | None
+    """Of the best state, whose tensors are saved beside the latest."""
+    rate_scale: float
+    recoveries: int
+    milestones: list[dict[str, Any]]
+
+
+def capture(trainer: BiLevelTrainer, stage: int, generator: torch.Generator) -> dict[str, Tensor]:
+    """Copies of everything the next step depends on; ``stage`` is the index of the stage the trainer is in."""
     if trainer.seeds is None:
         raise ValueError("nothing to capture before the first surface")
     state: dict[str, Tensor] = {
-        "level": torch.tensor(level),
+        "stage": torch.tensor(stage),
         "seeds": trainer.seeds,
         "random": generator.get_state(),
         "view_order": torch.tensor(trainer.view_order, dtype=torch.int64),
@@ -31,7 +48,12 @@ def capture(trainer: BiLevelTrainer, level: int, generator: torch.Generator) -> 
 
 
 def restore(trainer: BiLevelTrainer, generator: torch.Generator, state: Mapping[str, Tensor]) -> None:
-    """Inverse of ``capture``; the extractor must already be on the captured level. Raises KeyError if state lacks."""
+    """Inverse of ``capture``; the extractor must already be on the captured stage's level.
+
+    Raises KeyError where an entry is missing.
+    """
+    # The surface of another state: what follows must extract its own.
+    trainer.extraction = None
     trainer.seeds = state["seeds"].clone()
     trainer.view_order = state["view_order"].tolist()
     trainer.inner_total = int(state["inner_total"])
@@ -74,6 +96,19 @@ def _parameters(optimizer: torch.optim.Optimizer) -> list[nn.Parameter]:
 
 def _load_module(module: nn.Module, state: Mapping[str, Tensor]) -> None:
     module.load_state_dict(dict(state))
+
+
+def with_best(latest: Mapping[str, Tensor], best: Mapping[str, Tensor] | None) -> dict[str, Tensor]:
+    """Two states as one, to be saved in one file: they must never be of different ages."""
+    out = dict(latest)
+    _put(out, "best", best or {})
+    return out
+
+
+def split_best(state: Mapping[str, Tensor]) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+    """Inverse of ``with_best``; the second is empty where there was none."""
+    latest = {name: tensor for name, tensor in state.items() if not name.startswith("best/")}
+    return latest, _get(state, "best")
 
 
 def _put(state: dict[str, Tensor], prefix: str, entries: Mapping[str, Tensor]) -> None:

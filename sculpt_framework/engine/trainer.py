@@ -108,7 +108,7 @@ class BiLevelTrainer:
         self.scene.follow(surface)
         inner_loss = None
         if self._config.gradient_isolation and not stage.silhouette_only:
-            inner_loss = self.inner_loop(surface.detach(), images, stage.inner_steps, rate_factor)
+            inner_loss = self.inner_loop(surface, images, stage.inner_steps, rate_factor)
         views = stage.outer_views if self._config.gradient_isolation else stage.outer_views + stage.inner_steps
         binding = self.scene.bind(surface, learn=not self._config.gradient_isolation)
         self._zero_grad()
@@ -142,7 +142,8 @@ class BiLevelTrainer:
     def inner_loop(
         self, surface: Surface, images: Sequence[TrainingImage], steps: int, rate_factor: float
     ) -> float | None:
-        """Colours, scales and places of the Gaussians, on a surface without gradient. Returns the mean loss."""
+        """Colours, scales and places of the Gaussians on a detached copy of the surface. Returns the mean loss."""
+        surface = surface.detach()
         total = 0.0
         fixed = self.scene.bind(surface, learn=False)
         for step in range(steps):

@@ -20,6 +20,8 @@ def principal_axes(gaussians: Gaussians) -> Gaussians:
     first, singular, _ = torch.linalg.svd(factor, full_matrices=True)
     long = first[:, :, 0]
     # A degenerate face may have no normal of its own: take the direction its Gaussian has no extent in.
+    # Single precision leaves normals of slivers askew: what lies along the long axis is taken out of them.
+    normal = normal - (normal * long).sum(dim=1, keepdim=True) * long
     length = normal.norm(dim=1, keepdim=True)
     normal = torch.where(length > 0.5, normal / length.clamp(min=1e-30), first[:, :, 2])
     across = torch.cross(normal, long, dim=1)

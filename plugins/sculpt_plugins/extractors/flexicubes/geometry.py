@@ -30,7 +30,7 @@ def dual_vertices(
     ends = corner_positions.index_select(0, topology.ends.reshape(-1)).reshape(-1, 2, 3)
     reach = corner_sdf.index_select(0, topology.ends.reshape(-1)).reshape(-1, 1, 2).abs()
     if alpha is not None:
-        reach = reach * alpha[topology.cells[..., None], topology.cell_ends]
+        reach = reach * _entries(alpha, topology.cells[..., None], topology.cell_ends)
     weight = crossing_weight(reach[..., 0], reach[..., 1], LEAST_DROP * cell)
     inner, outer = ends[:, None, 0], ends[:, None, 1]
     crossings = (inner + weight[..., None] * (outer - inner)).expand(-1, 4, 3).reshape(-1, 3)
@@ -40,11 +40,19 @@ def dual_vertices(
         total = torch.bincount(vertex, minlength=topology.vertex_count).to(crossings)
         summed = crossings.new_zeros(topology.vertex_count, 3).index_add(0, vertex, crossings)
     else:
-        share = beta[topology.cells, topology.cell_edge].reshape(-1)
+        share = _entries(beta, topology.cells, topology.cell_edge).reshape(-1)
         total = share.new_zeros(topology.vertex_count).index_add(0, vertex, share)
         summed = crossings.new_zeros(topology.vertex_count, 3).index_add(0, vertex, crossings * share[:, None])
     vertices = summed / total[:, None]
     return vertices, _deviation(vertices, crossings, vertex)
+
+
+def _entries(
+    table: Float[Tensor, "c n"], row: Int64[Tensor, "..."], column: Int64[Tensor, "..."]
+) -> Float[Tensor, "..."]:
+    """``table[row, column]``, whose backward adds in the same order in every run."""
+    where = row * table.shape[1] + column
+    return table.reshape(-1).index_select(0, where.reshape(-1)).reshape(where.shape)
 
 
 def _deviation(

@@ -14,10 +14,10 @@ class HashGridField(Field):
     """sdf(x) = |x| - radius + correction(x).
 
     With a linear decoder the correction is a pyramid of grids: sum over levels of (features of the level, added up)
-    times the level's cell size relative to the coarsest. Adam moves every table entry at about the same pace, so the
-    factor makes coarse levels move the surface far and fine ones a little: a multigrid preconditioner, and the reason
-    why the fine levels do not get noisy before the coarse ones have settled. With ``hidden_units`` the scaled features
-    pass a one-layer softplus decoder that starts at zero output.
+    times the level's cell size relative to the coarsest, to the power of ``level_falloff``. Adam moves every table
+    entry at about the same pace, so the factor makes coarse levels move the surface far and fine ones a little: a
+    multigrid preconditioner, and the reason why the fine levels do not get noisy before the coarse ones have settled.
+    With ``hidden_units`` the scaled features pass a one-layer softplus decoder that starts at zero output.
     """
 
     def __init__(self, config: HashGridFieldConfig):
@@ -32,7 +32,7 @@ class HashGridField(Field):
             init_scale=1e-4 if config.hidden_units else 0.0,
         )
         resolutions = torch.tensor(self._encoding.resolutions, dtype=torch.float32)
-        scale = (resolutions[0] / resolutions).repeat_interleave(config.features_per_level)
+        scale = ((resolutions[0] / resolutions) ** config.level_falloff).repeat_interleave(config.features_per_level)
         self.register_buffer("_level_scale", scale, persistent=False)
         self._active_levels = config.num_levels
         channels = config.num_levels * config.features_per_level

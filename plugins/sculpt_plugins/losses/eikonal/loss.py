@@ -15,7 +15,8 @@ class Eikonal(GeometryLoss):
     """
 
     def __call__(self, extraction: Extraction) -> Float[Tensor, ""]:
-        corners = extraction.corner_sdf[extraction.cell_corners]
+        # Not by indexing: the order in which its backward adds on a CPU changes from run to run.
+        corners = extraction.corner_sdf.index_select(0, extraction.cell_corners.reshape(-1)).reshape(-1, 8)
         x = corners[:, 1::2].sum(dim=1) - corners[:, 0::2].sum(dim=1)
         y = corners[:, [2, 3, 6, 7]].sum(dim=1) - corners[:, [0, 1, 4, 5]].sum(dim=1)
         z = corners[:, 4:].sum(dim=1) - corners[:, :4].sum(dim=1)

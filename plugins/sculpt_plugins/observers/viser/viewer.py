@@ -18,6 +18,7 @@ import viser
 from sculpt_framework.engine.events import Event
 from sculpt_framework.engine.reconstruction import Reconstruction
 from sculpt_framework.errors import ConfigError
+from sculpt_framework.export.mesh_files import srgb_to_linear
 from sculpt_framework.observers import Observer
 from sculpt_framework.rendering.spherical_harmonics import sh_to_rgb
 from sculpt_plugins.observers.viser.config import ViserConfig
@@ -108,7 +109,8 @@ class ViserViewer(Observer):
     def _show(self, reconstruction: Reconstruction) -> None:
         if len(reconstruction.faces) == 0:
             return
-        colors = _as_drawn(reconstruction.colors)
+        # The browser takes vertex colours for linear light, as glTF has them.
+        colors = (255 * srgb_to_linear(reconstruction.colors.clip(0, 1)) + 0.5).astype(np.uint8)
         mesh = trimesh.Trimesh(
             vertices=reconstruction.vertices, faces=reconstruction.faces, vertex_colors=colors, process=False
         )
@@ -142,13 +144,6 @@ class ViserViewer(Observer):
             if self._mesh is not None and self._splats is not None:
                 self._mesh.visible = self._show_mesh.value
                 self._splats.visible = self._show_splats.value
-
-
-def _as_drawn(srgb: np.ndarray) -> np.ndarray:
-    """Vertex colours for the browser, which takes them for linear light and draws them in sRGB."""
-    value = np.clip(srgb, 0.0, 1.0)
-    linear = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
-    return (255 * linear + 0.5).astype(np.uint8)
 
 
 def _quiet() -> contextlib.redirect_stdout:

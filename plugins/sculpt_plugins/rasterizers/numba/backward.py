@@ -61,12 +61,10 @@ def count_slots(seen, tiles, band_rows, part_counts):
 
 
 @njit(parallel=True, **OPTIONS)
-def assign_slots(seen, tiles, band_rows, part_starts, first_slot, bits, sums):
+def assign_slots(seen, tiles, band_rows, part_starts, first_slot, bits, stride, sums, sums_stride):
     """Number the rows of sums, tell each record where its own begin, and clear them. ``bits`` and ``sums`` are flat."""
     parts = part_starts.shape[0] - 1
     count = tiles.shape[0]
-    stride = bits.shape[0] // max(count, 1)
-    sums_stride = sums.shape[0] // max(part_starts[parts], 1)
     for part in prange(parts):
         slot = part_starts[part]
         for i in range(count * part // parts, count * (part + 1) // parts):

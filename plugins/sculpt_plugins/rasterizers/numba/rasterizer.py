@@ -7,6 +7,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from sculpt_framework.cpu_kernels import kernel_cache, share_threads
 from sculpt_framework.rasterizers import Rasterizer, RasterOutput
@@ -23,6 +24,7 @@ _POSE_PARTS = 64
 _BANDS = 16
 """Bands of tile rows where the sums must not depend on the number of threads."""
 _BANDS_PER_THREAD = 8
+_PARTS_PER_THREAD = 4
 
 
 class NumbaRasterizer(Rasterizer):
@@ -158,23 +160,37 @@ def _tile_lists(job: _Job, tiles: np.ndarray, keys: np.ndarray) -> tuple[np.ndar
     return lists, starts
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Drawn:
+    """What the forward pass leaves for the backward pass, all of it in the job's scratch."""
+
+    records: np.ndarray
+    tiles: np.ndarray
+    lists: np.ndarray
+    blocks: np.ndarray
+    starts: np.ndarray
+    kept: np.ndarray
+    seen: np.ndarray
+
+
 class _Rasterize(torch.autograd.Function):
     @staticmethod
-    def forward(ctx, means, scales, rotations, opacities, features, pose, background, job):
+    def forward(ctx, means, scales, rotations, opacities, features, pose, background, job: _Job):
         scratch = job.lease.scratch
         count, channels = features.shape
-        arrays = [_array(tensor) for tensor in (means, scales, rotations, opacities, features, pose)]
         records = scratch.take("records", (count, layout.record_width(channels)), np.float32)
-        bits = records.view(np.int32)
         tiles = scratch.take("tiles", (count, 4), np.int16)
         keys = scratch.take("keys", (count,), np.uint32)
-        projection.project(*arrays, job.lens, job.width, job.height, job.low_pass, records, bits, tiles, keys)
+        projection.project(
+            _array(means), _array(scales), _array(rotations), _array(opacities), _array(features), _array(pose),
+            job.lens, job.width, job.height, job.low_pass, records, records.view(np.int32), tiles, keys,
+        )  # fmt: skip
         lists, starts = _tile_lists(job, tiles, keys)
 
         image = torch.empty(job.height, job.width, channels)
         alpha, depth = torch.empty(job.height, job.width), torch.empty(job.height, job.width)
-        kept = scratch.take("kept", (starts.shape[0] - 1,), np.int32)
         blocks = scratch.take("blocks", lists.shape, np.uint16)
+        kept = scratch.take("kept", (starts.shape[0] - 1,), np.int32)
         seen = scratch.take("seen", (count + 1,), np.uint8)
         seen[:] = 0
         forward.composite(
@@ -183,47 +199,58 @@ class _Rasterize(torch.autograd.Function):
             image.numpy(), alpha.numpy(), depth.numpy(), kept, seen, np.zeros(1, np.int64),
         )  # fmt: skip
         ctx.save_for_backward(means, scales, rotations, opacities, pose, image, alpha, depth)
-        ctx.job, ctx.kernel_state = job, (records, tiles, lists, blocks, starts, kept, seen)
+        ctx.job = job
+        ctx.drawn = _Drawn(
+            records=records, tiles=tiles, lists=lists, blocks=blocks, starts=starts, kept=kept, seen=seen
+        )
         ctx.set_materialize_grads(False)
         return image, alpha, depth
 
     @staticmethod
-    def backward(ctx, *gradients):  # pyright: ignore[reportIncompatibleMethodOverride]
+    @once_differentiable
+    def backward(ctx, to_image, to_alpha, to_depth):  # pyright: ignore[reportIncompatibleMethodOverride]
+        means, scales, rotations, opacities, pose, image, alpha, depth = ctx.saved_tensors
         job: _Job = ctx.job
-        records, tiles, lists, blocks, starts, kept, seen = ctx.kernel_state
-        means, scales, rotations, opacities, pose, *images = ctx.saved_tensors
-        image, alpha, depth = (_array(tensor) for tensor in images)
-        to_image, to_alpha, to_depth = gradients
-        scratch = job.lease.scratch
-        count, channels = records.shape[0], image.shape[2]
-        bits = records.view(np.int32).reshape(-1)
-
-        parts = 4 * job.threads
-        part_starts = np.zeros(parts + 1, np.int64)
-        backward.count_slots(seen, tiles, job.band_rows, part_starts[1:])
-        np.cumsum(part_starts, out=part_starts)
-        first_slot = scratch.take("first_slot", (count + 1,), np.int32)
-        sums = scratch.take("sums", (int(part_starts[-1]), layout.sums_width(channels)), np.float32)
-        backward.assign_slots(seen, tiles, job.band_rows, part_starts, first_slot, bits, sums.reshape(-1))
-        backward.composite_backward(
-            records.reshape(-1), bits, records.shape[1], lists, blocks, starts, kept, job.width, job.height, job.threads,
-            job.band_rows, job.alpha_max, image, alpha, depth,
-            np.zeros_like(image) if to_image is None else _array(to_image),
-            np.zeros_like(alpha) if to_alpha is None else _array(to_alpha),
-            alpha if to_depth is None else _array(to_depth), to_depth is not None,
-            sums.reshape(-1), sums.shape[1], np.zeros(1, np.int64),
-        )  # fmt: skip
-
-        to_means, to_scales, to_rotations = (torch.empty_like(t) for t in (means, scales, rotations))
-        to_opacities, to_features = torch.empty_like(opacities), torch.empty(count, channels)
+        sums, first_slot = _sums_over_pixels(job, ctx.drawn, (image, alpha, depth), (to_image, to_alpha, to_depth))
+        count, channels = means.shape[0], image.shape[2]
+        to_means, to_scales, to_rotations = torch.empty(count, 3), torch.empty(count, 3), torch.empty(count, 3, 3)
+        to_opacities, to_features = torch.empty(count), torch.empty(count, channels)
         to_pose_parts = np.empty((_POSE_PARTS if ctx.needs_input_grad[5] else 0, 3, 4))
         projection.project_backward(
-            *(_array(tensor) for tensor in (means, scales, rotations, opacities, pose)), job.lens, job.low_pass,
+            _array(means), _array(scales), _array(rotations), _array(opacities), _array(pose), job.lens, job.low_pass,
             first_slot, sums, to_means.numpy(), to_scales.numpy(), to_rotations.numpy(), to_opacities.numpy(),
             to_features.numpy(), to_pose_parts,
         )  # fmt: skip
         to_pose = None
         if ctx.needs_input_grad[5]:
-            to_pose = torch.zeros_like(pose)
+            to_pose = torch.zeros(4, 4)
             to_pose[:3] = torch.from_numpy(to_pose_parts.sum(axis=0))
         return to_means, to_scales, to_rotations, to_opacities, to_features, to_pose, None, None
+
+
+def _sums_over_pixels(
+    job: _Job, drawn: _Drawn, images: tuple[Tensor, ...], gradients: tuple[Tensor | None, ...]
+) -> tuple[np.ndarray, np.ndarray]:
+    """(rows of sums as in layout.py; where each Gaussian's rows begin, and the end)."""
+    (image, alpha, depth), (to_image, to_alpha, to_depth) = (_array(tensor) for tensor in images), gradients
+    records, scratch = drawn.records, job.lease.scratch
+    count, stride = records.shape
+    bits = records.view(np.int32).reshape(-1)
+    part_starts = np.zeros(_PARTS_PER_THREAD * job.threads + 1, np.int64)
+    backward.count_slots(drawn.seen, drawn.tiles, job.band_rows, part_starts[1:])
+    np.cumsum(part_starts, out=part_starts)
+    first_slot = scratch.take("first_slot", (count + 1,), np.int32)
+    width = layout.sums_width(image.shape[2])
+    sums = scratch.take("sums", (int(part_starts[-1]), width), np.float32)
+    backward.assign_slots(
+        drawn.seen, drawn.tiles, job.band_rows, part_starts, first_slot, bits, stride, sums.reshape(-1), width
+    )
+    backward.composite_backward(
+        records.reshape(-1), bits, stride, drawn.lists, drawn.blocks, drawn.starts, drawn.kept,
+        job.width, job.height, job.threads, job.band_rows, job.alpha_max, image, alpha, depth,
+        np.zeros_like(image) if to_image is None else _array(to_image),
+        np.zeros_like(alpha) if to_alpha is None else _array(to_alpha),
+        alpha if to_depth is None else _array(to_depth), to_depth is not None,
+        sums.reshape(-1), width, np.zeros(1, np.int64),
+    )  # fmt: skip
+    return sums, first_slot

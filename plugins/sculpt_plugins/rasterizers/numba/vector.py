@@ -185,7 +185,7 @@ def lanes_at_least(typing, value, limit):
 
 @intrinsic
 def mark_lanes(typing, marks, value, limit, bit):
-    """marks[l] |= bit where value >= limit in lane l, for a flat uint32 array; returns the lanes as an integer's bits."""
+    """marks[l] |= bit where value >= limit in lane l, for a flat uint32 array. Returns those lanes as bits."""
 
     def generate(context, builder, signature, arguments):
         value, limit = _as_vectors(context, builder, arguments[1:3], signature.args[1:3])

@@ -1,0 +1,71 @@
+"""What the pipeline's events carry: plain JSON values from its objects."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+
+from sculpt_framework.config import MethodConfig, StageConfig
+from sculpt_framework.engine.assembly import Parts
+from sculpt_framework.engine.measuring import resident_megabytes
+from sculpt_framework.engine.trainer import StepReport
+from sculpt_framework.evaluation.certificate import certify
+from sculpt_framework.evaluation.mesh import Mesh
+from sculpt_framework.geometry.grid import Grid
+from sculpt_framework.types import Scene
+
+
+def run_started(
+    config: MethodConfig, scene: Scene, parts: Parts, *, views: int, held_out: int, total_steps: int | None
+) -> dict[str, Any]:
+    return {
+        "method": config.method,
+        "scene": scene.name,
+        "notes": list(scene.notes),
+        "total_steps": total_steps,
+        "max_time": config.max_time,
+        "views": views,
+        "held_out": held_out,
+        "box": [scene.box.minimum.tolist(), scene.box.maximum.tolist()],
+        "device": str(parts.device),
+        "rasterizer": type(parts.rasterizer).__name__,
+        "seed": config.seed,
+    }
+
+
+def stage_entered(index: int, stages: Sequence[StageConfig], grid: Grid) -> dict[str, Any]:
+    stage = stages[index]
+    return {
+        "index": index,
+        "count": len(stages),
+        "level": stage.level,
+        "grid": list(grid.shape),
+        "image_scale": stage.image_scale,
+        "inner_steps": stage.inner_steps,
+        "silhouette_only": stage.silhouette_only,
+    }
+
+
+def outer_step(report: StepReport, *, progress: float, psnr: float | None, eta_seconds: float | None) -> dict[str, Any]:
+    return {
+        "progress": progress,
+        "loss": report.loss,
+        "terms": report.terms,
+        "inner_loss": report.inner_loss,
+        "faces": report.faces,
+        "gaussians": report.gaussians,
+        "psnr": psnr,
+        "rss_mb": resident_megabytes(),
+        "eta_s": eta_seconds,
+    }
+
+
+def run_ended(
+    mesh: Mesh, *, status: str, failure: str | None, final: Mapping[str, Any], milestones: Sequence[Mapping[str, Any]]
+) -> dict[str, Any]:
+    return {
+        "status": status,
+        "failure": failure,
+        "final": dict(final),
+        "certificate": asdict(certify(mesh.vertices, mesh.faces)),
+        "milestones": list(milestones),
+    }

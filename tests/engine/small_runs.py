@@ -1,0 +1,62 @@
+"""Runs of seconds: a small scene, small components, few steps."""
+
+from dataclasses import dataclass, replace
+
+from sculpt_framework import registry
+from sculpt_framework.config import MethodConfig, StageConfig
+from sculpt_framework.engine.events import Event
+from sculpt_framework.engine.pipeline import Pipeline
+from sculpt_framework.engine.reconstruction import Reconstruction
+from sculpt_framework.types import Scene
+from sculpt_plugins.appearances.color_field.config import ColorFieldConfig
+from sculpt_plugins.fields.dense_grid.config import DenseGridFieldConfig
+from sculpt_plugins.fields.hash_grid.config import HashGridFieldConfig
+from sculpt_plugins.fields.mlp.config import MlpFieldConfig
+
+FIELDS = {
+    "hash-grid": HashGridFieldConfig(num_levels=4, log2_table=13, finest_resolution=32, learning_rate=2e-3),
+    "dense-grid": DenseGridFieldConfig(resolution=24),
+    "mlp": MlpFieldConfig(hidden_layers=3, hidden_units=32, skip_layer=2, frequencies=3),
+}
+TWO_STAGES = (
+    StageConfig(share=0.5, level=0, image_scale=0.5, inner_steps=2, outer_views=2),
+    StageConfig(share=0.5, level=1, image_scale=1.0, inner_steps=2, outer_views=2),
+)
+ONE_STAGE = (StageConfig(share=1.0, level=0, image_scale=1.0, inner_steps=2, outer_views=2),)
+
+
+def small_config(**changes: object) -> MethodConfig:
+    """The tiny method made smaller still. Names of fields of the trainer change the trainer, others the method."""
+    base = registry.load_method("gaussian-sculpting-tiny")()
+    trainer = replace(base.trainer, outer_steps=8, base_cells=10, fit_steps=60, polish_steps=4, stages=ONE_STAGE)
+    inside = {name: value for name, value in changes.items() if name in type(trainer).__dataclass_fields__}
+    around = {name: value for name, value in changes.items() if name not in inside}
+    return replace(
+        base,
+        **{
+            "field": FIELDS["hash-grid"],
+            "appearance": ColorFieldConfig(num_levels=3, log2_table=12, finest_resolution=32),
+            "observers": (),
+            "trainer": replace(trainer, **inside),
+            "data": "small",
+            **around,
+        },
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    result: Reconstruction
+    events: list[Event]
+
+    def of(self, name: str) -> list[Event]:
+        return [event for event in self.events if event.event == name]
+
+    @property
+    def losses(self) -> list[float]:
+        return [event.data["loss"] for event in self.of("outer_step")]
+
+
+def train(config: MethodConfig, scene: Scene) -> Outcome:
+    events: list[Event] = []
+    return Outcome(result=Pipeline(config, scene=scene, emit=events.append).train(), events=events)

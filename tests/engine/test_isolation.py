@@ -1,0 +1,129 @@
+"""Gradient isolation: colours move Gaussians, images move the surface, and neither does the other's work."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import pytest
+import torch
+from small_runs import ONE_STAGE, small_config
+from torch import Tensor
+
+from sculpt_framework.config import MethodConfig
+from sculpt_framework.engine.assembly import Parts, build_parts
+from sculpt_framework.engine.gaussian_scene import assemble
+from sculpt_framework.engine.images import TrainingImage, prepare_image
+from sculpt_framework.geometry.band import discover
+from sculpt_framework.types import Scene, Surface
+from sculpt_plugins.extractors.flexicubes.config import FlexiCubesConfig
+
+LEARNABLE = FlexiCubesConfig(split="center", learn_weights=True, learn_deformation=True)
+STAGE = ONE_STAGE[0]
+
+
+def start(config: MethodConfig, scene: Scene) -> tuple[Parts, list[TrainingImage]]:
+    """Components on a sphere, as the hash grid is built, with images to learn from."""
+    parts = build_parts(config, scene.box, torch.Generator().manual_seed(0))
+    trainer = parts.trainer
+    trainer.seeds = discover(lambda x: trainer.field(x).sdf, trainer.extractor.grid, 0)
+    trainer.scene.blur = 0.01
+    return parts, [prepare_image(view, scene.box, 0.5, parts.device) for view in scene.train]
+
+
+def shape_parameters(parts: Parts) -> dict[str, Tensor]:
+    """What an image may move only through vertices: the field's and the extractor's parameters."""
+    named = {f"field.{name}": value for name, value in parts.trainer.field.named_parameters()}
+    for table, rows in parts.trainer.extractor.tables.items():
+        named |= {f"extractor.{table}.{name}": leaf for name, leaf in rows.leaves.items()}
+    return named
+
+
+def values(named: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    return {name: value.detach().clone() for name, value in named.items()}
+
+
+def changed(before: Mapping[str, Tensor], after: Mapping[str, Tensor]) -> set[str]:
+    return {name for name, value in before.items() if not torch.equal(value, after[name].detach())}
+
+
+def test_inner_steps_leave_the_shape_alone(scene: Scene):
+    parts, images = start(small_config(extractor=LEARNABLE), scene)
+    trainer = parts.trainer
+    surface = trainer.extract().surface
+    trainer.scene.follow(surface)
+    shape, rows = shape_parameters(parts), values(trainer.scene.appearance_rows.leaves)
+    before = values(shape)
+    assert surface.vertices.requires_grad
+    trainer.inner_loop(surface, images, steps=5, rate_factor=1.0)
+    assert all(parameter.grad is None for parameter in shape.values())
+    assert changed(before, shape) == set()
+    assert changed(rows, trainer.scene.appearance_rows.leaves) == set(rows)
+
+
+def image_gradients(parts: Parts, images: list[TrainingImage], surface: Surface) -> list[Tensor]:
+    """Backward of one view's images terms from Gaussians bound to ``surface``; what arrived at shape parameters."""
+    trainer = parts.trainer
+    binding = trainer.scene.bind(surface, learn=False)
+    roots, gradients, _ = trainer._image_gradients(binding, images, STAGE, 2)
+    if roots:
+        torch.autograd.backward(roots, gradients)
+    return [parameter.grad for parameter in shape_parameters(parts).values() if parameter.grad is not None]
+
+
+def test_images_reach_the_shape_through_vertices_only(scene: Scene):
+    parts, images = start(small_config(extractor=LEARNABLE), scene)
+    surface = parts.trainer.extract().surface
+    parts.trainer.scene.follow(surface)
+    assert image_gradients(parts, images, surface.detach()) == []
+    arrived = image_gradients(parts, images, surface)
+    assert arrived
+    assert any(bool(gradient.any()) for gradient in arrived)
+
+
+def test_colours_have_no_gradient_by_vertices(scene: Scene):
+    parts, _ = start(small_config(), scene)
+    surface = parts.trainer.extract().surface
+    parts.trainer.scene.follow(surface)
+    binding = parts.trainer.scene.bind(surface, learn=True)
+    assert binding.means.requires_grad
+    sh = parts.trainer.scene.harmonics(binding.means, degree=0, learn=True)
+    found = torch.autograd.grad(sh.square().sum() + sh.sum(), [surface.vertices], allow_unused=True)
+    assert found == (None,)
+    assert assemble(binding, sh).sh.requires_grad
+
+
+def test_the_outer_step_moves_the_shape_and_no_row(scene: Scene):
+    parts, images = start(small_config(extractor=LEARNABLE), scene)
+    trainer = parts.trainer
+    trainer.scene.follow(trainer.extract().surface)
+    rows = values({**trainer.scene.geometry_rows.leaves, **trainer.scene.appearance_rows.leaves})
+    shared = values(dict(trainer.scene.appearance.named_parameters()))
+    before = values(dict(trainer.field.named_parameters()))
+    trainer.outer_step(images, replace(STAGE, inner_steps=0), 1.0)
+    assert changed(before, dict(trainer.field.named_parameters()))
+    assert changed(shared, dict(trainer.scene.appearance.named_parameters())) == set()
+    after = {**trainer.scene.geometry_rows.leaves, **trainer.scene.appearance_rows.leaves}
+    assert changed(rows, after) == set()
+
+
+def test_without_isolation_everything_moves_at_once(scene: Scene):
+    parts, images = start(small_config(gradient_isolation=False), scene)
+    trainer = parts.trainer
+    trainer.scene.follow(trainer.extract().surface)
+    field = values(dict(trainer.field.named_parameters()))
+    colours = values(dict(trainer.scene.appearance.named_parameters()))
+    report = trainer.outer_step(images, STAGE, 1.0)
+    assert report.inner_loss is None
+    assert trainer.inner_total == 0
+    assert changed(field, dict(trainer.field.named_parameters()))
+    assert changed(colours, dict(trainer.scene.appearance.named_parameters()))
+
+
+def test_a_gradient_that_is_not_finite_updates_nothing(scene: Scene, monkeypatch: pytest.MonkeyPatch):
+    parts, images = start(small_config(), scene)
+    trainer = parts.trainer
+    before = values(dict(trainer.field.named_parameters()))
+    first = next(trainer.field.parameters())
+    first.register_hook(lambda gradient: gradient * torch.nan)
+    with pytest.raises(FloatingPointError, match="gradient of the field is not finite"):
+        trainer.outer_step(images, STAGE, 1.0)
+    assert changed(before, dict(trainer.field.named_parameters())) == set()

@@ -1,0 +1,333 @@
+"""Stopping, resuming, failing: a run's directory is always worth having."""
+
+import errno
+import json
+import os
+import signal
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from safetensors import safe_open
+from safetensors.torch import save_file
+from small_runs import ONE_STAGE, TWO_STAGES, small_config, train
+from torch import Tensor
+
+from sculpt_framework.config import MethodConfig
+from sculpt_framework.engine.checkpoint import read_checkpoint, write_checkpoint
+from sculpt_framework.engine.events import Event
+from sculpt_framework.engine.milestones import Milestones
+from sculpt_framework.engine.pipeline import Pipeline
+from sculpt_framework.engine.run import load_finished, run, run_status
+from sculpt_framework.engine.state import Progress
+from sculpt_framework.errors import CheckpointError, OutputError, TrainingFailed
+from sculpt_framework.evaluation.certificate import certify
+from sculpt_framework.evaluation.curve import read_curve
+from sculpt_framework.evaluation.mesh import load_mesh
+from sculpt_framework.export import atomic
+from sculpt_framework.types import Scene
+from sculpt_plugins.appearances.per_gaussian.config import PerGaussianConfig
+from sculpt_plugins.datasets.blender.config import BlenderConfig
+from sculpt_plugins.extractors.flexicubes.config import FlexiCubesConfig
+from sculpt_plugins.observers.recorder.config import RecorderConfig
+
+LEARNABLE = FlexiCubesConfig(split="center", learn_weights=True, learn_deformation=True)
+VARIANTS = {
+    "default": small_config(outer_steps=6, stages=TWO_STAGES),
+    "learnable": small_config(outer_steps=6, stages=TWO_STAGES, extractor=LEARNABLE, appearance=PerGaussianConfig()),
+}
+Saved = tuple[Mapping[str, Tensor], Progress]
+
+
+def stopped_after(config: MethodConfig, scene: Scene, steps: int, saved: Saved | None = None) -> Saved:
+    """The checkpoint of a run that is told to stop after so many outer steps."""
+    kept: list[Saved] = []
+    outer = 0
+
+    def count(event: Event) -> None:
+        nonlocal outer
+        outer += event.event == "outer_step"
+
+    pipeline = Pipeline(
+        config, scene=scene, emit=count, should_stop=lambda: outer >= steps, save=lambda *state: kept.append(state)
+    )
+    pipeline.train(saved)
+    return kept[-1]
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_a_resumed_run_ends_as_an_unbroken_one(scene: Scene, variant: str, tmp_path: Path):
+    config = VARIANTS[variant]
+    whole = train(config, scene).result
+    # At the very end of a stage, in the middle of one, and before the first step of all.
+    saved = None
+    for steps in (0, 3, 1):
+        write_checkpoint(tmp_path, *stopped_after(config, scene, steps, saved))
+        saved = read_checkpoint(tmp_path)
+    assert saved[1].outer == 4
+    resumed = Pipeline(config, scene=scene).train(saved)
+    np.testing.assert_array_equal(whole.vertices, resumed.vertices)
+    np.testing.assert_array_equal(whole.faces, resumed.faces)
+    np.testing.assert_array_equal(whole.colors, resumed.colors)
+
+
+def test_measuring_and_saving_leave_training_as_it_is(scene: Scene, monkeypatch: pytest.MonkeyPatch):
+    config = VARIANTS["learnable"]
+    plain = train(config, scene).result
+    due = Milestones.due
+    monkeypatch.setattr(Milestones, "due", lambda self, *where: due(self, *where) or "time")
+    hasty = replace(config, trainer=replace(config.trainer, checkpoint_seconds=0.0))
+    watched = Pipeline(hasty, scene=scene, save=lambda *state: None, snapshot_seconds=0.0).train()
+    np.testing.assert_array_equal(plain.vertices, watched.vertices)
+
+
+def test_the_best_state_survives_a_stop(scene: Scene):
+    _, progress = stopped_after(small_config(stages=ONE_STAGE), scene, 6)
+    state, _ = stopped_after(small_config(stages=ONE_STAGE), scene, 6)
+    assert progress.best_psnr is not None
+    assert any(name.startswith("best/field/") for name in state)
+
+
+def test_time_left_is_the_share_that_was_left(scene: Scene):
+    state, progress = stopped_after(small_config(stages=TWO_STAGES), scene, 4)
+    events: list[Event] = []
+    # Within this time nothing can be trained any more: what was done counts, and no stage is gone back to.
+    config = small_config(stages=TWO_STAGES, max_time=1.0)
+    Pipeline(config, scene=scene, emit=events.append).train((state, replace(progress, progress=0.6)))
+    assert [event.data["index"] for event in events if event.event == "stage"][0] == int(state["stage"])
+    assert all(event.data["progress"] >= 0.6 for event in events if event.event == "evaluation")
+
+
+# -- run directories ----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def config(scene_folder: Path, tmp_path: Path) -> MethodConfig:
+    return small_config(
+        data=str(scene_folder),
+        dataset=BlenderConfig(),
+        observers=(RecorderConfig(),),
+        output=tmp_path / "run",
+        outer_steps=4,
+    )
+
+
+def files_of(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def interrupt_after(monkeypatch: pytest.MonkeyPatch, steps: int) -> None:
+    """A Ctrl-C in the middle of an outer step."""
+    original = Pipeline._step
+
+    def step(self: Pipeline, *arguments: object) -> None:
+        if self.outer == steps:
+            os.kill(os.getpid(), signal.SIGINT)
+        original(self, *arguments)
+
+    monkeypatch.setattr(Pipeline, "_step", step)
+
+
+def test_ctrl_c_saves_and_resume_ends_as_if_unbroken(
+    config: MethodConfig, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    unbroken, folder = tmp_path / "unbroken", tmp_path / "run"
+    run(replace(config, output=unbroken), resume=None, started=0.0)
+    with monkeypatch.context() as patch:
+        interrupt_after(patch, 1)
+        run(config, resume=None, started=0.0)
+    assert run_status(folder) == "stopped"
+    assert certify(load_mesh(folder / "mesh.ply").vertices, load_mesh(folder / "mesh.ply").faces).watertight
+    assert len(load_finished(folder).gaussians) > 0
+
+    run(config, resume=folder, started=0.0)
+    assert run_status(folder) == "finished"
+    assert (folder / "mesh.ply").read_bytes() == (unbroken / "mesh.ply").read_bytes()
+    times = [row["t_train_s"] for row in read_curve(folder / "curve.csv")]
+    assert times == sorted(times)
+
+    before = files_of(folder)
+    capsys.readouterr()
+    run(config, resume=folder, started=0.0)
+    assert files_of(folder) == before
+    assert capsys.readouterr().out.count("\n") == 1
+
+
+def test_nothing_is_learned_from_test_views_or_the_reference(config: MethodConfig, scene_folder: Path, tmp_path: Path):
+    import shutil
+
+    bare = tmp_path / "bare" / scene_folder.name
+    shutil.copytree(scene_folder, bare)
+    shutil.rmtree(bare / "test")
+    (bare / "transforms_test.json").unlink()
+    (bare / "gt_mesh.ply").unlink()
+    run(config, resume=None, started=0.0)
+    run(replace(config, data=str(bare), output=tmp_path / "without"), resume=None, started=0.0)
+    assert (tmp_path / "run" / "mesh.ply").read_bytes() == (tmp_path / "without" / "mesh.ply").read_bytes()
+    final = json.loads((tmp_path / "run" / "metrics.json").read_text())["final"]
+    assert final["point_to_point"] > 0
+    assert final["accuracy"] > 0
+    assert "point_to_point" not in json.loads((tmp_path / "without" / "metrics.json").read_text())["final"]
+
+
+# -- failure ------------------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class Poison:
+    """Makes the field's parameters NaN before chosen outer steps."""
+
+    when: Sequence[int]
+    seen: int = 0
+
+    def install(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        from sculpt_framework.engine.trainer import BiLevelTrainer
+
+        original = BiLevelTrainer.outer_step
+
+        def outer_step(trainer: BiLevelTrainer, *arguments: object) -> object:
+            self.seen += 1
+            report = original(trainer, *arguments)  # pyright: ignore
+            if self.seen in self.when:
+                with torch.no_grad():
+                    for parameter in trainer.field.parameters():
+                        parameter.fill_(torch.nan)
+            return report
+
+        monkeypatch.setattr(BiLevelTrainer, "outer_step", outer_step)
+
+
+def test_one_nan_is_recovered_from(scene: Scene, monkeypatch: pytest.MonkeyPatch):
+    Poison(when=(3,)).install(monkeypatch)
+    outcome = train(small_config(), scene)
+    (recovered,) = outcome.of("recovered")
+    assert recovered.data["rate_scale"] == 0.5
+    assert "not finite" in recovered.data["error"]
+    assert certify(outcome.result.vertices, outcome.result.faces).watertight
+
+
+def test_the_last_step_may_be_the_one_that_fails(scene: Scene, monkeypatch: pytest.MonkeyPatch):
+    Poison(when=(8,)).install(monkeypatch)
+    outcome = train(small_config(outer_steps=8), scene)
+    assert len(outcome.of("recovered")) == 1
+    assert np.isfinite(outcome.result.vertices).all()
+
+
+def test_repeated_failure_ends_with_the_best_mesh_so_far(config: MethodConfig, monkeypatch: pytest.MonkeyPatch):
+    Poison(when=range(2, 100)).install(monkeypatch)
+    with pytest.raises(TrainingFailed, match=r"cannot go on after .* best mesh until then is .*mesh\.ply"):
+        run(replace(config, trainer=replace(config.trainer, outer_steps=30)), resume=None, started=0.0)
+    assert config.output is not None
+    assert run_status(config.output) == "failed"
+    mesh = load_mesh(config.output / "mesh.ply")
+    assert certify(mesh.vertices, mesh.faces).watertight
+
+
+def test_a_failure_before_any_surface_has_nothing_to_save(config: MethodConfig, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("sculpt_framework.engine.pipeline.fit_field", poisoned_fit)
+    with pytest.raises(TrainingFailed, match="after 0 outer steps"):
+        run(config, resume=None, started=0.0)
+    assert config.output is not None
+    assert not (config.output / "mesh.ply").exists()
+
+
+def poisoned_fit(field: torch.nn.Module, *arguments: object, **options: object) -> float:
+    with torch.no_grad():
+        for parameter in field.parameters():
+            parameter.fill_(torch.nan)
+    return 0.0
+
+
+def fail_for(monkeypatch: pytest.MonkeyPatch, name: str, error: OSError) -> Callable[[], None]:
+    """Let the system refuse files of that name."""
+    original = os.replace
+
+    def refuse(source: Path, target: Path) -> None:
+        if Path(target).name == name:
+            raise error
+        original(source, target)
+
+    monkeypatch.setattr(atomic.os, "replace", refuse)
+    return lambda: monkeypatch.setattr(atomic.os, "replace", original)
+
+
+def test_a_disk_full_at_the_end_loses_nothing(config: MethodConfig, monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+    free = fail_for(monkeypatch, "mesh.ply", OSError(errno.ENOSPC, "No space left on device"))
+    with pytest.raises(OutputError, match=r"mesh\.ply \(No space left on device\)"):
+        run(config, resume=None, started=0.0)
+    assert run_status(tmp_path / "run") is None
+    free()
+    run(config, resume=tmp_path / "run", started=0.0)
+    assert run_status(tmp_path / "run") == "finished"
+    run(replace(config, output=tmp_path / "other"), resume=None, started=0.0)
+    assert (tmp_path / "run" / "mesh.ply").read_bytes() == (tmp_path / "other" / "mesh.ply").read_bytes()
+
+
+def test_a_report_that_fails_is_a_warning(config: MethodConfig, monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+    fail_for(monkeypatch, "report.html", OSError(errno.EROFS, "Read-only file system"))
+    run(config, resume=None, started=0.0)
+    assert run_status(tmp_path / "run") == "finished"
+    last = json.loads((tmp_path / "run" / "events.jsonl").read_text().splitlines()[-1])
+    assert last["event"] == "warning"
+    assert "Read-only file system" in last["data"]["message"]
+
+
+# -- checkpoints --------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def checkpoint(tmp_path: Path) -> Path:
+    progress = Progress(
+        outer=3, progress=0.5, trained_seconds=1.5, best_psnr=None, rate_scale=1.0, recoveries=0, milestones=[]
+    )
+    write_checkpoint(tmp_path, {"a": torch.arange(5)}, progress)
+    return tmp_path / "latest.safetensors"
+
+
+def test_checkpoints_go_round(checkpoint: Path):
+    state, progress = read_checkpoint(checkpoint.parent)
+    assert torch.equal(state["a"], torch.arange(5))
+    assert progress.outer == 3
+
+
+def test_another_version_is_one_line(checkpoint: Path):
+    with safe_open(checkpoint, framework="pt") as file:
+        header = {**file.metadata(), "format": "99"}
+    save_file({"a": torch.arange(5)}, checkpoint, metadata=header)
+    with pytest.raises(CheckpointError, match="checkpoint format 99, this version reads 1"):
+        read_checkpoint(checkpoint.parent)
+
+
+@pytest.mark.parametrize("keep", [0, 4, 60])
+def test_a_cut_checkpoint_is_one_line(checkpoint: Path, keep: int):
+    checkpoint.write_bytes(checkpoint.read_bytes()[:keep])
+    with pytest.raises(CheckpointError, match="is damaged and cannot be read"):
+        read_checkpoint(checkpoint.parent)
+
+
+def test_no_checkpoint_and_no_progress(checkpoint: Path):
+    save_file({"a": torch.arange(5)}, checkpoint, metadata={"format": "1", "progress": "{}"})
+    with pytest.raises(CheckpointError, match="no valid progress"):
+        read_checkpoint(checkpoint.parent)
+    checkpoint.unlink()
+    with pytest.raises(CheckpointError, match="no checkpoint at"):
+        read_checkpoint(checkpoint.parent)
+
+
+def test_a_full_disk_keeps_the_old_checkpoint(checkpoint: Path, monkeypatch: pytest.MonkeyPatch):
+    before = checkpoint.read_bytes()
+    fail_for(monkeypatch, checkpoint.name, OSError(errno.ENOSPC, "No space left on device"))
+    _, progress = read_checkpoint(checkpoint.parent)
+    with pytest.raises(OutputError, match="No space left"):
+        write_checkpoint(checkpoint.parent, {"a": torch.zeros(2)}, progress)
+    assert checkpoint.read_bytes() == before
+    assert list(checkpoint.parent.iterdir()) == [checkpoint]
+
+
+def test_a_checkpoint_of_other_components_is_one_line(scene: Scene):
+    saved = stopped_after(small_config(), scene, 2)
+    with pytest.raises(CheckpointError, match=r"does not fit the run's config\.json"):
+        Pipeline(small_config(appearance=PerGaussianConfig()), scene=scene).train(saved)

@@ -130,9 +130,7 @@ class TrainerConfig:
     base_cells: int
     """Grid cells along the longest side of the object's box at level 0."""
     final_rate: float = 0.05
-    """Share of their start to which learning rates fall over the run."""
-    decay_power: float = 1.0
-    """1: rates fall exponentially; 2: by a bell curve, so that coarse stages, which move surfaces far, keep theirs."""
+    """Share of their start to which learning rates fall, exponentially, over the run."""
     gradient_isolation: bool = True
     """Optimise a detached copy of the Gaussians in the inner loop; off: one joint update of everything (ablation)."""
     warm_start: bool = True

@@ -96,6 +96,9 @@ class KeyedTable:
     def load_state(self, state: Mapping[str, Tensor]) -> None:
         """Inverse of ``state``. Raises KeyError where an entry is missing."""
         self.keys, self._steps = state["keys"].clone(), state["steps"].clone()
+        if len(self) == 0:
+            self.leaves, self._first, self._second = {}, {}, {}
+            return
         for name, rate in self.learning_rates.items():
             self.leaves[name] = state[f"value.{name}"].clone().requires_grad_(rate > 0)
             self._first[name] = state[f"first.{name}"].clone()

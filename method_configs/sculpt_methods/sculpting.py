@@ -27,7 +27,7 @@ def gaussian_sculpting() -> MethodConfig:
     """The default: hash-grid SDF, FlexiCubes, warm inner loop, coarse to fine; minutes on a CPU."""
     return MethodConfig(
         method="gaussian-sculpting",
-        field=HashGridFieldConfig(learning_rate=0.03),
+        field=HashGridFieldConfig(),
         extractor=FlexiCubesConfig(),
         binder=FaceBarycentricConfig(),
         appearance=ColorFieldConfig(),
@@ -38,14 +38,32 @@ def gaussian_sculpting() -> MethodConfig:
         constraints=(MeeScaleConfig(), BoundaryConfig(), SpacingConfig(), CoverageConfig()),
         observers=(ConsoleConfig(), RecorderConfig()),
         trainer=TrainerConfig(
-            outer_steps=600,
+            outer_steps=240,
             base_cells=32,
-            final_rate=0.02,
-            decay_power=2.0,
+            stages=(
+                StageConfig(share=0.1, time_share=0.04, level=0, image_scale=0.25, inner_steps=4, outer_views=4),
+                StageConfig(share=0.3, time_share=0.16, level=1, image_scale=0.5, inner_steps=4, outer_views=4),
+                StageConfig(share=0.6, time_share=0.8, level=2, image_scale=1.0, inner_steps=4, outer_views=4),
+            ),
+        ),
+    )
+
+
+def gaussian_sculpting_deep() -> MethodConfig:
+    """For deep cavities no silhouette shows: long coarse stages at high rates dig them, at some cost in smoothness."""
+    base = gaussian_sculpting()
+    return replace(
+        base,
+        method="gaussian-sculpting-deep",
+        field=HashGridFieldConfig(learning_rate=0.03),
+        trainer=replace(
+            base.trainer,
+            outer_steps=480,
+            final_rate=0.005,
             stages=(
                 # Pixels about as large as cells: blurred images are what pulls a surface over long distances.
-                StageConfig(share=0.40, time_share=0.15, level=0, image_scale=0.125, inner_steps=4, outer_views=8),
-                StageConfig(share=0.30, time_share=0.20, level=1, image_scale=0.25, inner_steps=4, outer_views=8),
+                StageConfig(share=0.40, time_share=0.15, level=0, image_scale=0.125, inner_steps=4, outer_views=4),
+                StageConfig(share=0.30, time_share=0.20, level=1, image_scale=0.25, inner_steps=4, outer_views=4),
                 StageConfig(share=0.15, time_share=0.20, level=1, image_scale=0.5, inner_steps=4, outer_views=4),
                 StageConfig(share=0.15, time_share=0.45, level=2, image_scale=1.0, inner_steps=4, outer_views=4),
             ),

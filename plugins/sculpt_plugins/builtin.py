@@ -57,6 +57,7 @@ BUILTIN: dict[str, dict[str, str]] = {
 
 METHODS: dict[str, str] = {
     "gaussian-sculpting": "sculpt_methods.sculpting:gaussian_sculpting",
+    "gaussian-sculpting-deep": "sculpt_methods.sculpting:gaussian_sculpting_deep",
     "gaussian-sculpting-paper": "sculpt_methods.paper:gaussian_sculpting_paper",
     "gaussian-sculpting-tiny": "sculpt_methods.sculpting:gaussian_sculpting_tiny",
 }

@@ -19,7 +19,7 @@ from sculpt_framework.engine.measuring import image_measures, mesh_measures, res
 from sculpt_framework.engine.milestones import Milestones
 from sculpt_framework.engine.reconstruction import Reconstruction, object_gaussians, reconstruct, world_mesh
 from sculpt_framework.engine.schedule import Schedule
-from sculpt_framework.engine.state import Progress, capture, restore, split_best, with_best
+from sculpt_framework.engine.state import Progress, capture, restore, split_best, undisturbed, with_best
 from sculpt_framework.engine.view_pictures import view_pictures
 from sculpt_framework.errors import CheckpointError, TrainingFailed
 from sculpt_framework.evaluation.geometry import MeasuredMesh
@@ -84,6 +84,8 @@ class Pipeline:
         self.failure: str | None = None
         """Why training ended early, if it failed; what it returned is the best it had then."""
         self._status = "finished"
+        self._result: Surface | None = None
+        """The surface training ended with, in the object frame; the Gaussians' rows are on it."""
         self._best: tuple[float, dict[str, Tensor]] | None = None
         self._last_good: dict[str, Tensor] | None = None
         self._rate_scale = 1.0
@@ -241,6 +243,7 @@ class Pipeline:
             self._return_to(kept)
             surface = self._follow_surface()
         self.clock.stop()
+        self._result = surface
         return reconstruct(trainer.scene, surface, self.scene.box)
 
     def _polish(self, surface: Surface) -> None:
@@ -273,8 +276,8 @@ class Pipeline:
     def _evaluate(self, reason: str, progress: float) -> None:
         """Measure the current surface on held-out views and against the reference; the clock stands still meanwhile."""
         began = time.monotonic()
-        with self.clock.pause(), torch.no_grad():
-            scene, surface = self._trainer.scene, self._follow_surface()
+        with self.clock.pause(), torch.no_grad(), undisturbed(self._trainer):
+            scene, surface = self._trainer.scene, self._result or self._follow_surface()
             row: dict[str, Any] = {"reason": reason, "progress": progress}
             row |= {"inner": self._trainer.inner_total, "faces": surface.faces.shape[0]}
             row |= {"gaussians": surface.faces.shape[0] * scene.binder.gaussians_per_face}
@@ -315,7 +318,7 @@ class Pipeline:
     def pictures(self) -> dict[str, Picture]:
         """A held-out view, or a train view if none is, beside what the current Gaussians make of it."""
         image = self._held_out[0] if self._held_out else self._whole_image(self._views[0])
-        gaussians = object_gaussians(self._trainer.scene, self._follow_surface())
+        gaussians = object_gaussians(self._trainer.scene, self._result or self._follow_surface())
         return view_pictures(self._parts.rasterizer, gaussians, image, self.config.trainer.low_pass_px2)
 
     def warn(self, message: str) -> None:

@@ -26,7 +26,6 @@ class Schedule:
         self._stages: Sequence[StageConfig] = config.stages
         self._steps = config.outer_steps
         self._final_rate = config.final_rate
-        self._decay_power = config.decay_power
         self._deadline = deadline
         self._began: float | None = None
         self._done_before = 0.0
@@ -59,5 +58,5 @@ class Schedule:
         return self._stages[self.stage_index(progress)]
 
     def rate_factor(self, progress: float) -> float:
-        """Factor on learning rates: final_rate^(progress^power)."""
-        return self._final_rate ** (progress**self._decay_power)
+        """Factor on learning rates: they fall exponentially to ``final_rate``."""
+        return self._final_rate**progress

@@ -1,6 +1,7 @@
 """The whole state of the optimisation as named tensors: for checkpoints, for keeping the best, for recovery."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -96,6 +97,25 @@ def _parameters(optimizer: torch.optim.Optimizer) -> list[nn.Parameter]:
 
 def _load_module(module: nn.Module, state: Mapping[str, Tensor]) -> None:
     module.load_state_dict(dict(state))
+
+
+@contextmanager
+def undisturbed(trainer: BiLevelTrainer) -> Iterator[None]:
+    """Afterwards the next step is what it would have been, to the bit, whatever surfaces were extracted meanwhile.
+
+    An extraction forgets the parameters of corners it does not visit, and from other seeds it visits the same corners
+    in another order, which rounds otherwise.
+    """
+    seeds, extraction = trainer.seeds, trainer.extraction
+    tables = {name: table.state() for name, table in trainer.extractor.tables.items()}
+    rows = trainer.scene.state()
+    try:
+        yield
+    finally:
+        trainer.seeds, trainer.extraction = seeds, extraction
+        for name, table in trainer.extractor.tables.items():
+            table.load_state(tables[name])
+        trainer.scene.load_state(rows)
 
 
 def with_best(latest: Mapping[str, Tensor], best: Mapping[str, Tensor] | None) -> dict[str, Tensor]:

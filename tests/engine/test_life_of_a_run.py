@@ -97,11 +97,11 @@ def test_time_left_is_the_share_that_was_left(scene: Scene):
     # Within this time nothing can be trained any more: what was done counts, and no stage is gone back to.
     config = small_config(stages=TWO_STAGES, max_time=1.0)
     Pipeline(config, scene=scene, emit=events.append).train((state, replace(progress, progress=0.6)))
-    assert [event.data["index"] for event in events if event.event == "stage"][0] == int(state["stage"])
+    assert next(event.data["index"] for event in events if event.event == "stage") == int(state["stage"])
     assert all(event.data["progress"] >= 0.6 for event in events if event.event == "evaluation")
 
 
-# -- run directories ----------------------------------------------------------------------------------------------------
+# -- run directories -------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -173,7 +173,7 @@ def test_nothing_is_learned_from_test_views_or_the_reference(config: MethodConfi
     assert "point_to_point" not in json.loads((tmp_path / "without" / "metrics.json").read_text())["final"]
 
 
-# -- failure ------------------------------------------------------------------------------------------------------------
+# -- failure ---------------------------------------------------------------------------------------------------------
 
 
 @dataclass
@@ -275,7 +275,7 @@ def test_a_report_that_fails_is_a_warning(config: MethodConfig, monkeypatch: pyt
     assert "Read-only file system" in last["data"]["message"]
 
 
-# -- checkpoints --------------------------------------------------------------------------------------------------------
+# -- checkpoints -----------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture

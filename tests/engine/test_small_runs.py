@@ -109,7 +109,7 @@ def test_a_cold_start_is_measured_with_the_colours_it_learned(scene: Scene):
     assert last.data["psnr"] > first.data["psnr"] + 0.5
 
 
-# -- unusual input ------------------------------------------------------------------------------------------------------
+# -- unusual input ---------------------------------------------------------------------------------------------------
 
 
 def test_without_alpha(scene: Scene):

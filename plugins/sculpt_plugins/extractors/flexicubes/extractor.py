@@ -112,7 +112,9 @@ class FlexiCubes(Extractor):
             triangles, second = diagonal_split(vertices, topology.vertices)
             primitive = topology.axis + 3 * second.long()
         else:
-            quad_gamma = None if gamma is None else gamma[:, 0].index_select(0, topology.cells.reshape(-1)).reshape(-1, 4)
+            quad_gamma = (
+                None if gamma is None else gamma[:, 0].index_select(0, topology.cells.reshape(-1)).reshape(-1, 4)
+            )
             triangles, centers = center_split(vertices, topology.vertices, quad_gamma)
             vertices = torch.cat([vertices, centers])
             primitive = topology.axis + CENTER_PRIMITIVE

@@ -31,8 +31,10 @@ class HashGridFieldConfig(FieldConfig):
     """Radius of the sphere the field starts as, in object units."""
     learning_rate: float = 2e-3
     """Adam's rate of the table before the schedule, for the coarsest level."""
-    level_falloff: float = 2.0
-    """Exponent by which a level's say falls with its cell size: Adam moves all table entries at about one pace."""
+    decoder_rate: float = 2e-3
+    """Adam's rate of the decoder's weights before the schedule, if there is a decoder."""
+    level_falloff: float = 1.0
+    """Exponent by which a level's rate falls with its cell size: Adam moves all table entries at about one pace."""
     coarse_to_fine: bool = True
     """Wake levels up only when the extraction grid is fine enough to see them."""
 

@@ -1,6 +1,5 @@
 """An SDF on a multi-resolution hash grid: the distance to a sphere plus a decoded correction."""
 
-import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
@@ -9,15 +8,18 @@ from sculpt_framework.fields import Field, ParameterGroup
 from sculpt_framework.types import FieldSample
 from sculpt_plugins.fields.hash_grid.config import HashGridFieldConfig
 
+_FIT_RATE = 0.02
+"""Of the coarsest level, in object units per step: the initial surface may be half a unit away."""
+
 
 class HashGridField(Field):
     """sdf(x) = |x| - radius + correction(x).
 
-    With a linear decoder the correction is a pyramid of grids: sum over levels of (features of the level, added up)
-    times the level's cell size relative to the coarsest, to the power of ``level_falloff``. Adam moves every table
-    entry at about the same pace, so the factor makes coarse levels move the surface far and fine ones a little: a
+    With a linear decoder the correction is a pyramid of grids: the features of all levels, added up. Each level is a
+    parameter group of its own. Adam moves every table entry at about its group's rate, whatever the size of its
+    gradient, so rates that fall with the cell size make coarse levels move the surface far and fine ones a little: a
     multigrid preconditioner, and the reason why the fine levels do not get noisy before the coarse ones have settled.
-    With ``hidden_units`` the scaled features pass a one-layer softplus decoder that starts at zero output.
+    With ``hidden_units`` the features pass a one-layer softplus decoder that starts at zero output.
     """
 
     def __init__(self, config: HashGridFieldConfig):
@@ -31,9 +33,6 @@ class HashGridField(Field):
             finest_resolution=config.finest_resolution,
             init_scale=1e-4 if config.hidden_units else 0.0,
         )
-        resolutions = torch.tensor(self._encoding.resolutions, dtype=torch.float32)
-        scale = ((resolutions[0] / resolutions) ** config.level_falloff).repeat_interleave(config.features_per_level)
-        self.register_buffer("_level_scale", scale, persistent=False)
         self._active_levels = config.num_levels
         channels = config.num_levels * config.features_per_level
         self._decoder: nn.Module | None = None
@@ -46,7 +45,7 @@ class HashGridField(Field):
             self._decoder = nn.Sequential(*first, last)
 
     def forward(self, points: Float[Tensor, "n 3"]) -> FieldSample:
-        encoded = self._encoding(points, active_levels=self._active_levels) * self._level_scale
+        encoded = self._encoding(points, active_levels=self._active_levels)
         if self._decoder is None:
             correction, features = encoded.sum(dim=1), encoded[:, :0]
         else:
@@ -57,10 +56,19 @@ class HashGridField(Field):
         return FieldSample(sdf=distance - self._config.sphere_radius + correction, features=features)
 
     def parameter_groups(self) -> list[ParameterGroup]:
-        rate = self._config.learning_rate
-        groups = [ParameterGroup(parameters=list(self._encoding.parameters()), rate=rate, fit_rate=0.02)]
+        config, resolutions = self._config, self._encoding.resolutions
+        groups = []
+        for table, resolution in zip(self._encoding.tables, resolutions, strict=True):
+            finer = resolution / resolutions[0]
+            group = ParameterGroup(
+                parameters=[table],
+                rate=config.learning_rate * finer**-config.level_falloff,
+                fit_rate=_FIT_RATE / finer,
+            )
+            groups.append(group)
         if self._decoder is not None:
-            groups.append(ParameterGroup(parameters=list(self._decoder.parameters()), rate=rate, fit_rate=5e-3))
+            decoder = list(self._decoder.parameters())
+            groups.append(ParameterGroup(parameters=decoder, rate=config.decoder_rate, fit_rate=5e-3))
         return groups
 
     def set_detail(self, cell_size: float) -> None:

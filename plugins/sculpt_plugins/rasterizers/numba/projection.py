@@ -102,10 +102,10 @@ def project(
         if not (size < LARGEST and determinant < _FLOAT_MAX):
             continue
         # Pixel centres within reach. Still floats: what is far outside the image does not fit an integer.
-        left_reach = max(math.ceil(mean_x - reach_x - _HALF), _ZERO)
-        right_reach = min(math.floor(mean_x + reach_x - _HALF), right - _ONE)
-        top_reach = max(math.ceil(mean_y - reach_y - _HALF), _ZERO)
-        bottom_reach = min(math.floor(mean_y + reach_y - _HALF), bottom - _ONE)
+        left_reach = max(np.ceil(mean_x - reach_x - _HALF), _ZERO)
+        right_reach = min(np.floor(mean_x + reach_x - _HALF), right - _ONE)
+        top_reach = max(np.ceil(mean_y - reach_y - _HALF), _ZERO)
+        bottom_reach = min(np.floor(mean_y + reach_y - _HALF), bottom - _ONE)
         if right_reach < left_reach or bottom_reach < top_reach:
             continue
         tiles[i, 0] = np.int32(left_reach) // TILE

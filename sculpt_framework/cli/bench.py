@@ -1,0 +1,310 @@
+"""``sculpt-bench``: how fast the parts that decide the speed of training are on this machine."""
+
+import importlib
+import statistics
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from sculpt_framework.cli import exit_codes
+from sculpt_framework.errors import ConfigError
+
+if TYPE_CHECKING:
+    from types import ModuleType
+
+    from torch import Tensor
+
+    from sculpt_framework.types import Camera
+
+Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="")]
+
+RASTER_CASES = (
+    # Faces of the mesh, Gaussians per face, pixels along the image's side.
+    (500, 1, 64),
+    (10_000, 1, 400),
+    (40_000, 1, 400),
+    (40_000, 3, 400),
+    (40_000, 1, 800),
+    (160_000, 1, 800),
+    (160_000, 3, 800),
+)
+DENSE_PAIRS = 10_000_000
+"""Pixels times Gaussians beyond which the reference, which forms all of these pairs, is left out."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchRequest:
+    """Time forward plus backward passes: medians of wall and CPU milliseconds."""
+
+    what: Annotated[Literal["raster", "loss", "encode"], tyro.conf.Positional]
+    """raster: Gaussians on a bumpy sphere; loss: L1 and SSIM; encode: the hash grid."""
+    threads: tuple[int, ...] = (1,)
+    """CPU threads, one run of all cases for each number."""
+    repeats: Annotated[int, tyro.conf.arg(metavar="N")] = 9
+    """Timed passes per case, after two that are not."""
+    cases: Annotated[tuple[int, ...] | None, tyro.conf.arg(metavar="N", help_behavior_hint="")] = None
+    """Numbers of the cases to run, counted from 0. Default: all."""
+    compare_prototype: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")] = None
+    """raster only: also time the raster_proto.py in this folder, its passes in turn with ours."""
+    json: Flag = False
+    """Print JSON."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """One line of the result. Milliseconds are medians."""
+
+    case: str
+    backend: str
+    threads: int
+    wall_ms: float
+    cpu_ms: float
+    forward_wall_ms: float
+    backward_wall_ms: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contender:
+    """A way to compute a case: ``forward`` gives tensors, and what turns a pass's gradients back to none."""
+
+    backend: str
+    forward: "Callable[[], tuple[Tensor, ...]]"
+    leaves: "Sequence[Tensor]"
+
+
+def main() -> None:
+    """The console script ``sculpt-bench``."""
+    exit_codes.run(lambda: bench(sys.argv[1:]))
+
+
+def bench(words: Sequence[str]) -> None:
+    """Measure and print. Raises ConfigError; exits as tyro does for ``--help`` and values of a wrong type."""
+    request = tyro.cli(BenchRequest, args=words, prog="sculpt-bench")
+    if request.repeats < 1 or min(request.threads, default=0) < 1:
+        raise ConfigError("--repeats and --threads take numbers from 1 upwards.")
+    if request.compare_prototype is not None and request.what != "raster":
+        raise ConfigError(f"--compare-prototype goes with 'raster', not with {request.what!r}.")
+    import torch
+
+    cases = {"raster": _raster_cases, "loss": _loss_cases, "encode": _encode_cases}[request.what](request)
+    rows = []
+    for case, contenders in cases:
+        for threads in request.threads:
+            torch.set_num_threads(threads)
+            for row in _measure(case, contenders, threads, request.repeats):
+                rows.append(row)
+                if not request.json:
+                    sys.stdout.write(_line(row) + "\n")
+                    sys.stdout.flush()
+    if request.json:
+        from sculpt_framework.export.json_text import json_text
+
+        sys.stdout.write(json_text({"rows": [vars(row) for row in rows]}, indent=2) + "\n")
+
+
+def _line(row: Row) -> str:
+    return (
+        f"{row.case:24} {row.backend:10} {row.threads} thread{'s' if row.threads > 1 else ' '} "
+        f"wall {row.wall_ms:8.2f} ms ({row.forward_wall_ms:.2f} + {row.backward_wall_ms:.2f})  cpu {row.cpu_ms:8.2f} ms"
+    )
+
+
+def _measure(case: str, contenders: Sequence[Contender], threads: int, repeats: int) -> Iterator[Row]:
+    """Passes of all contenders in turn, so that a machine that gets slower does so for all."""
+    import torch
+
+    times: dict[str, list[tuple[float, float, float]]] = {contender.backend: [] for contender in contenders}
+    for repeat in range(repeats + 2):
+        for contender in contenders:
+            for leaf in contender.leaves:
+                leaf.grad = None
+            wall, cpu = time.perf_counter(), time.process_time()
+            outputs = contender.forward()
+            middle = time.perf_counter()
+            torch.autograd.backward(outputs, [torch.ones_like(output) for output in outputs])
+            end = time.perf_counter()
+            if repeat >= 2:
+                times[contender.backend].append((middle - wall, end - middle, time.process_time() - cpu))
+    for contender in contenders:
+        forward, backward, cpu = zip(*times[contender.backend], strict=True)
+        yield Row(
+            case=case,
+            backend=contender.backend,
+            threads=threads,
+            wall_ms=round(1e3 * statistics.median(f + b for f, b in zip(forward, backward, strict=True)), 3),
+            cpu_ms=round(1e3 * statistics.median(cpu), 3),
+            forward_wall_ms=round(1e3 * statistics.median(forward), 3),
+            backward_wall_ms=round(1e3 * statistics.median(backward), 3),
+        )
+
+
+def _chosen(request: BenchRequest, count: int) -> Sequence[int]:
+    chosen = range(count) if request.cases is None else request.cases
+    if any(not 0 <= number < count for number in chosen):
+        raise ConfigError(f"--cases {' '.join(map(str, chosen))}: there are cases 0 to {count - 1}.")
+    return chosen
+
+
+def _raster_cases(request: BenchRequest) -> Iterator[tuple[str, list[Contender]]]:
+    """Colour and coverage of Gaussians on a bumpy sphere that fills two fifths of the image, by every CPU backend."""
+    import torch
+
+    from sculpt_framework.types import Camera
+
+    prototype = None if request.compare_prototype is None else _prototype(request.compare_prototype)
+    for number in _chosen(request, len(RASTER_CASES)):
+        faces, per_face, size = RASTER_CASES[number]
+        pose = torch.eye(4)
+        pose[2, 3] = 2.6
+        camera = Camera(
+            world_to_camera=pose, fx=1.1 * size, fy=1.1 * size, cx=size / 2, cy=size / 2, width=size, height=size
+        )
+        splats = [tensor.requires_grad_(True) for tensor in _splats_on_bumpy_sphere(faces, per_face)]
+        dense = splats[0].shape[0] * size * size <= DENSE_PAIRS
+        contenders = [_rasterizer(name, splats, camera) for name in ("numba", *(("reference",) if dense else ()))]
+        if prototype is not None:
+            contenders.append(_prototype_rasterizer(prototype, splats, camera))
+        yield f"{faces} faces x{per_face} {size}px", contenders
+
+
+def _rasterizer(name: str, splats: "list[Tensor]", camera: "Camera") -> Contender:
+    import torch
+
+    from sculpt_framework import registry
+    from sculpt_framework.config import RasterizerConfig
+
+    config = registry.default("rasterizer", name)
+    assert isinstance(config, RasterizerConfig)  # noqa: S101 - what the registry promises for the slot
+    rasterizer = config.build(torch.device("cpu"))
+    background = torch.zeros(3)
+
+    def forward() -> "tuple[Tensor, ...]":
+        means, scales, rotations, opacities, colors = splats
+        output = rasterizer.rasterize(
+            means, scales, rotations, opacities, colors, camera, background, low_pass_px2=0.3, alpha_max=0.999
+        )
+        return output.features, output.alpha
+
+    return Contender(backend=name, forward=forward, leaves=splats)
+
+
+def _prototype(folder: Path) -> "ModuleType":
+    """The module raster_proto of a folder, which imports its neighbours by plain names."""
+    if not (folder / "raster_proto.py").is_file():
+        raise ConfigError(f"--compare-prototype {folder}: there is no raster_proto.py in that folder.")
+    sys.path.insert(0, str(folder))
+    return importlib.import_module("raster_proto")
+
+
+def _prototype_rasterizer(prototype: "ModuleType", splats: "list[Tensor]", camera: "Camera") -> Contender:
+    def forward() -> "tuple[Tensor, ...]":
+        from sculpt_framework.cpu_kernels import share_threads
+
+        share_threads()
+        lens = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
+        return prototype.render(*splats, camera.world_to_camera, *lens)[:2]
+
+    return Contender(backend="prototype", forward=forward, leaves=splats)
+
+
+def _splats_on_bumpy_sphere(faces: int, per_face: int) -> "list[Tensor]":
+    """Means, scales, rotations, opacities and colours of nearly opaque Gaussians on a star-shaped mesh."""
+    import numpy as np
+    import torch
+    from scipy.spatial import ConvexHull
+
+    # Points evenly over the sphere by the golden angle; their hull is a triangulation of the sphere.
+    count = faces // 2 + 2
+    index = np.arange(count) + 0.5
+    z, angle = 1.0 - 2.0 * index / count, np.pi * (1.0 + 5.0**0.5) * index
+    radius = np.sqrt(1.0 - z * z)
+    points = np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1)
+    triangles = ConvexHull(points).simplices
+    points *= 0.8 + 0.06 * np.sin(5.0 * points).prod(axis=1, keepdims=True)
+
+    corners = points[triangles]
+    along, across = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    normals = np.cross(along, across)
+    doubled_area = np.linalg.norm(normals, axis=1, keepdims=True)
+    normals /= doubled_area
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    frames = np.stack([normals, along, np.cross(normals, along)], axis=2)
+    half_edges = 0.5 * np.sqrt(doubled_area * 2.0 / 3.0**0.5) / per_face**0.5
+    generator = np.random.default_rng(0)
+    weights = generator.dirichlet((3.0, 3.0, 3.0), size=(faces, per_face))
+    arrays = (
+        np.einsum("fkc,fcd->fkd", weights, corners).reshape(-1, 3),
+        np.repeat(half_edges * (1e-2, 1.0, 1.0), per_face, axis=0),
+        np.repeat(frames, per_face, axis=0),
+        np.full(faces * per_face, 0.99),
+        generator.random((faces * per_face, 3)),
+    )
+    return [torch.tensor(array, dtype=torch.float32) for array in arrays]
+
+
+def _loss_cases(request: BenchRequest) -> Iterator[tuple[str, list[Contender]]]:
+    import torch
+
+    from sculpt_framework.rendering.photometric import l1_dssim, l1_dssim_in_torch
+
+    sizes = (200, 400, 800)
+    for number in _chosen(request, len(sizes)):
+        size = sizes[number]
+        target = torch.rand(size, size, 3, generator=torch.Generator().manual_seed(0))
+        image = (0.9 * target + 0.05).requires_grad_(True)
+
+        def compiled(image: "Tensor" = image, target: "Tensor" = target) -> "tuple[Tensor, ...]":
+            return (l1_dssim(image, target, 0.2),)
+
+        def in_torch(image: "Tensor" = image, target: "Tensor" = target) -> "tuple[Tensor, ...]":
+            return (l1_dssim_in_torch(image, target, 0.2),)
+
+        yield (
+            f"{size}x{size}x3",
+            [
+                Contender(backend="numba", forward=compiled, leaves=[image]),
+                Contender(backend="torch", forward=in_torch, leaves=[image]),
+            ],
+        )
+
+
+def _encode_cases(request: BenchRequest) -> Iterator[tuple[str, list[Contender]]]:
+    """Points on a sphere, as they are near a surface, with and without a gradient by their positions."""
+    import torch
+
+    from sculpt_framework.encodings.hash_grid import HashEncoding, encode_in_torch
+
+    cases = [(count, log2_table, moving) for log2_table in (17, 19) for count in (50_000, 200_000) for moving in (0, 1)]
+    for number in _chosen(request, len(cases)):
+        count, log2_table, moving = cases[number]
+        encoding = HashEncoding(
+            levels=8,
+            features_per_level=2,
+            log2_table=log2_table,
+            base_resolution=8,
+            finest_resolution=256,
+            init_scale=0.1,
+        )
+        directions = torch.randn(count, 3, generator=torch.Generator().manual_seed(0))
+        points = (0.6 * directions / directions.norm(dim=1, keepdim=True)).requires_grad_(bool(moving))
+        tables = list(encoding.tables)
+
+        def compiled(encoding: HashEncoding = encoding, points: "Tensor" = points) -> "tuple[Tensor, ...]":
+            return (encoding(points),)
+
+        def in_torch(encoding: HashEncoding = encoding, points: "Tensor" = points) -> "tuple[Tensor, ...]":
+            return (encode_in_torch(points, list(encoding.tables), encoding.resolutions),)
+
+        leaves = [points, *tables]
+        yield (
+            f"{count} points 2^{log2_table}{' d/dx' if moving else ''}",
+            [
+                Contender(backend="numba", forward=compiled, leaves=leaves),
+                Contender(backend="torch", forward=in_torch, leaves=leaves),
+            ],
+        )

@@ -53,7 +53,6 @@ class FlexiCubes(Extractor):
             self._tables["cells"] = KeyedTable(dict.fromkeys(self._weight_sizes, config.weight_rate))
         if config.learn_deformation:
             self._tables["corners"] = KeyedTable({"delta": config.deformation_rate})
-        self._last_corners = torch.empty(0, dtype=torch.int64, device=device)
 
     @property
     def grid(self) -> Grid:
@@ -71,7 +70,6 @@ class FlexiCubes(Extractor):
         if grid.at_level(0) != self._grid.at_level(0):
             raise ValueError("set_grid changes the level of a grid, not its box")
         self._grid = grid
-        self._last_corners = self._last_corners[:0]
 
     def extract(self, sdf: SdfFunction, seeds: Int64[Tensor, " s"]) -> Extraction:
         if self.config.learn_deformation:
@@ -82,7 +80,6 @@ class FlexiCubes(Extractor):
             return positions, sdf(positions)
 
         band = track(sample, self._grid, seeds)
-        self._last_corners = band.corners
         weights = self._cell_weights(band.cells)
         topology = dual_topology(band)
         vertices, deviation = dual_vertices(
@@ -150,13 +147,13 @@ class FlexiCubes(Extractor):
         return rows
 
     def _prepare_deformation(self, seeds: Int64[Tensor, " s"]) -> None:
-        """Give every corner of the last band and of the seeds a row.
+        """Give every corner of the seeds, which are the cells of the last band, a row.
 
         Rows must exist before the sdf is sampled. A corner that only tracking reaches is sampled where the grid has it,
         and gets its row in the next extraction.
         """
         table = self._tables["corners"]
-        corners = torch.cat([self._last_corners, corners_of(seeds)[0]]).unique()
+        corners = corners_of(seeds)[0].unique()
         if not _same_keys(table.keys, corners):
             table.rekey(corners, {"delta": torch.zeros(len(corners), 3, dtype=self._dtype, device=self._device)})
 

@@ -124,6 +124,18 @@ def project(
         keys[i] = bits[i, DEPTH]
 
 
+@njit(**_OPTIONS)
+def _no_gradient(i, to_means, to_scales, to_rotations, to_opacities, to_features):
+    to_opacities[i] = _ZERO
+    for c in range(3):
+        to_means[i, c] = _ZERO
+        to_scales[i, c] = _ZERO
+        for d in range(3):
+            to_rotations[i, c, d] = _ZERO
+    for c in range(to_features.shape[1]):
+        to_features[i, c] = _ZERO
+
+
 @njit(parallel=True, **_OPTIONS)
 def project_backward(
     means, scales, rotations, opacities, pose, lens, low_pass, first_slot, sums,
@@ -145,27 +157,27 @@ def project_backward(
         r00 = r01 = r02 = r03 = r10 = r11 = r12 = r13 = r20 = r21 = r22 = r23 = 0.0
         for i in range(count * stretch // stretches, count * (stretch + 1) // stretches):
             first, end = first_slot[i], first_slot[i + 1]
-            s_x = s_u = s_xx = s_xu = s_uu = s_one = to_depth = _ZERO
-            for c in range(channels):
-                to_features[i, c] = _ZERO
-            for slot in range(first, end):
-                s_x += sums[slot, SUM_X]
-                s_u += sums[slot, SUM_U]
-                s_xx += sums[slot, SUM_XX]
-                s_xu += sums[slot, SUM_XU]
-                s_uu += sums[slot, SUM_UU]
-                s_one += sums[slot, SUM_ONE]
-                to_depth += sums[slot, SUM_DEPTH]
-                for c in range(channels):
-                    to_features[i, c] += sums[slot, SUM_FEATURES + c]
-            if first == end or (s_xx == _ZERO and s_uu == _ZERO and s_one == _ZERO and to_depth == _ZERO):
-                to_opacities[i] = _ZERO
-                for c in range(3):
-                    to_means[i, c] = _ZERO
-                    to_scales[i, c] = _ZERO
-                    for d in range(3):
-                        to_rotations[i, c, d] = _ZERO
+            if first == end:
+                _no_gradient(i, to_means, to_scales, to_rotations, to_opacities, to_features)
                 continue
+            # Nearly always there is one row: what is in loops here only slows it down.
+            row = sums[first]
+            s_x, s_u, s_one, to_depth = row[SUM_X], row[SUM_U], row[SUM_ONE], row[SUM_DEPTH]
+            s_xx, s_xu, s_uu = row[SUM_XX], row[SUM_XU], row[SUM_UU]
+            for c in range(channels):
+                to_features[i, c] = row[SUM_FEATURES + c]
+            if end > first + 1:
+                for slot in range(first + 1, end):
+                    row = sums[slot]
+                    s_x += row[SUM_X]
+                    s_u += row[SUM_U]
+                    s_xx += row[SUM_XX]
+                    s_xu += row[SUM_XU]
+                    s_uu += row[SUM_UU]
+                    s_one += row[SUM_ONE]
+                    to_depth += row[SUM_DEPTH]
+                    for c in range(channels):
+                        to_features[i, c] += row[SUM_FEATURES + c]
             to_opacities[i] = s_one / opacities[i]
 
             # The projection again: cheaper than to keep it.

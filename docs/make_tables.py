@@ -17,7 +17,7 @@ from sculpt_methods.sculpting import gaussian_sculpting
 
 PAGE = Path(__file__).parent / "choices.md"
 ABSENT = "–"
-_ROW = re.compile(r"^\| `([a-z_.-]+)` \|[^|]*\|[^|]*\| (.*)\|$", re.MULTILINE)
+_ROW = re.compile(r"^\| `([a-z0-9_.-]+)` \|[^|]*\|[^|]*\| (.*)\|$", re.MULTILINE)
 _NAMED_VALUE = re.compile(r"^\s*(?:(\w+)=)?(.*?),?\s*# (.*)$")
 
 

@@ -25,7 +25,9 @@ class Rasterizer(ABC):
 
     - A Gaussian with camera z below ``NEAR`` is not drawn, nor one with opacity below ``ALPHA_MIN``.
     - Its screen covariance is J W S W^T J^T + low_pass_px2 I, with J the projection's Jacobian at the mean, where
-      x/z and y/z are clamped to 1.3 times the half field of view inside J (3DGS); the gradient is zero where clamped.
+      x/z and y/z are clamped inside J to the image's field of view plus 0.3 half fields on each side (3DGS, for any
+      principal point); the gradient is zero where clamped.
+    - A Gaussian with a projected value that is not finite is not drawn and gets no gradient.
     - alpha = min(alpha_max, opacity exp(-d^T K d / 2)); contributions with alpha < ``ALPHA_MIN`` are skipped.
     - Sorted by camera z of the means (ties by index); a pixel stops once its transmittance is below
       ``TRANSMITTANCE_MIN`` before a splat: that splat and all behind it add nothing.

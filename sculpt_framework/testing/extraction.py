@@ -1,8 +1,4 @@
-"""Contract checks for plug-ins: what the framework relies on, as functions any package can call from its tests.
-
-A check takes a component's config, builds the component, tries it on small analytic cases and raises
-``ContractViolation`` with one line on what did not hold.
-"""
+"""Shapes with known answers, and what every extractor must keep to."""
 
 from collections.abc import Callable, Iterator
 
@@ -10,7 +6,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from sculpt_framework.config import ExtractorConfig
+from sculpt_framework.config import (
+    ExtractorConfig,
+)
 from sculpt_framework.extractors import EmptySurfaceError, Extraction, SdfFunction
 from sculpt_framework.geometry.band import children, discover
 from sculpt_framework.geometry.grid import Grid, grid_over_box

@@ -1,0 +1,95 @@
+"""The commands once, as a user runs them: train, look, measure, export, resume."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+OPTIONS = (
+    "--dataset demo --dataset.resolution 48 --dataset.train-views 10 --dataset.test-views 2 "
+    "--trainer.outer-steps 4 --trainer.fit-steps 30 --trainer.polish-steps 4"
+)
+FILES = [
+    "checkpoints",
+    "config.json",
+    "curve.csv",
+    "events.jsonl",
+    "gaussians.ply",
+    "mesh.glb",
+    "mesh.ply",
+    "metrics.json",
+    "report.html",
+]
+Finished = subprocess.CompletedProcess[str]
+
+
+def command(environment: dict[str, str], module: str, *words: str | Path) -> Finished:
+    code = f"import sys; from sculpt_framework.cli.{module} import main; sys.argv[0] = 'sculpt'; main()"
+    arguments = [sys.executable, "-c", code, *map(str, words)]
+    return subprocess.run(arguments, env=environment, capture_output=True, text=True, timeout=120, check=False)
+
+
+@pytest.fixture(scope="module")
+def trained(command_environment: dict[str, str], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Finished]:
+    folder = tmp_path_factory.mktemp("commands") / "run"
+    words = ["gaussian-sculpting-tiny", "--data", "demo", "--output", folder, *OPTIONS.split()]
+    return folder, command(command_environment, "train", *words)
+
+
+def require_one_line(done: Finished, code: int, *parts: str) -> None:
+    assert done.returncode == code, done.stderr
+    assert done.stderr.count("\n") == 1
+    assert "Traceback" not in done.stderr
+    for part in parts:
+        assert part in done.stderr
+
+
+def test_training_leaves_every_file(trained: tuple[Path, Finished]):
+    folder, done = trained
+    assert done.returncode == 0, done.stderr
+    assert sorted(path.name for path in folder.iterdir()) == FILES
+    assert (folder / "checkpoints" / "latest.safetensors").is_file()
+    for name in ("mesh.ply", "curve.csv", "report.html", "100 % of the time"):
+        assert name in done.stdout
+    metrics = json.loads((folder / "metrics.json").read_text())
+    assert metrics["status"] == "finished"
+    assert metrics["certificate"]["watertight"]
+    page = (folder / "report.html").read_text()
+    for name in ("reference", "rendering", "difference", "normals"):
+        assert f"{name}" in page
+    assert page.count("data:image/png;base64") == 4
+
+
+def test_a_finished_run_is_measured_and_exported(
+    trained: tuple[Path, Finished], command_environment: dict[str, str], tmp_path: Path
+):
+    folder, _ = trained
+    done = command(command_environment, "evaluate", folder, "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)
+    done = command(command_environment, "export", folder, "--format", "obj", "--out", tmp_path / "mesh.obj")
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "mesh.obj").read_text().count("\nf ") > 100
+
+
+def test_a_finished_run_is_left_alone(trained: tuple[Path, Finished], command_environment: dict[str, str]):
+    folder, _ = trained
+    before = {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
+    done = command(command_environment, "train", "--resume", folder)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("\n") == 1
+    assert "has finished already" in done.stdout
+    assert {path: path.stat().st_mtime_ns for path in folder.rglob("*")} == before
+
+
+def test_a_damaged_checkpoint_is_one_line(
+    trained: tuple[Path, Finished], command_environment: dict[str, str], tmp_path: Path
+):
+    folder = tmp_path / "run"
+    (folder / "checkpoints").mkdir(parents=True)
+    (folder / "config.json").write_bytes((trained[0] / "config.json").read_bytes())
+    checkpoint = folder / "checkpoints" / "latest.safetensors"
+    checkpoint.write_bytes((trained[0] / "checkpoints" / "latest.safetensors").read_bytes()[:1000])
+    require_one_line(command(command_environment, "train", "--resume", folder), 2, "damaged")

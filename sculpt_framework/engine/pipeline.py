@@ -26,8 +26,7 @@ from sculpt_framework.evaluation.geometry import MeasuredMesh
 from sculpt_framework.evaluation.mesh import load_mesh
 from sculpt_framework.evaluation.pictures import Picture
 from sculpt_framework.extractors import EmptySurfaceError
-from sculpt_framework.geometry.band import discover
-from sculpt_framework.geometry.grid import refine_cells
+from sculpt_framework.geometry.band import cells_at_level, discover
 from sculpt_framework.types import Scene, Surface, View
 
 _CURVE_SAMPLES = 20_000
@@ -187,7 +186,7 @@ class Pipeline:
         trainer.field.set_detail(grid.cell)
         if trainer.seeds is not None:
             # The surface's cells on the old level hold those on the new one, and the extraction follows it from there.
-            trainer.seeds = refine_cells(trainer.seeds, old, grid)
+            trainer.seeds = cells_at_level(trainer.seeds, grid.level - old.level)
 
     def _discover(self) -> None:
         field, grid = self._trainer.field, self._trainer.extractor.grid

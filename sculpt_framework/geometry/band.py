@@ -81,6 +81,15 @@ def parents(cells: Int64[Tensor, " c"]) -> Int64[Tensor, " c"]:
     return (levels_of(cells) - 1 << _LEVEL_SHIFT) + pack(0, unpack_ijk(cells) >> 1)
 
 
+def cells_at_level(cells: Int64[Tensor, " c"], steps: int) -> Int64[Tensor, " d"]:
+    """Keys, ascending, of the cells ``steps`` levels finer inside the given ones; of those around them, if negative."""
+    for _ in range(steps):
+        cells = children(cells)
+    for _ in range(-steps):
+        cells = parents(cells).unique()
+    return cells
+
+
 def find(ordered: Int64[Tensor, " n"], keys: Int64[Tensor, " m"]) -> tuple[Int64[Tensor, " m"], Bool[Tensor, " m"]]:
     """Row of each key in an ascending list and whether it is there; the row of an absent key means nothing."""
     if ordered.shape[0] == 0:

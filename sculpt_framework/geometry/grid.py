@@ -95,14 +95,3 @@ def grid_over_box(half_sides: Float[Tensor, " 3"], cells: int, level: int = 0, m
     x, y, z = counts
     origin = (-0.5 * x * cell, -0.5 * y * cell, -0.5 * z * cell)
     return Grid(origin=origin, base_shape=(x, y, z), base_cell=cell, level=level)
-
-
-def refine_cells(cells: Int64[Tensor, " c"], grid: Grid, finer: Grid) -> Int64[Tensor, " d"]:
-    """Sorted keys of the cells of ``finer`` inside these cells of ``grid``; of those around them, if it is coarser."""
-    ijk = unpack_ijk(cells)
-    for _ in range(finer.level - grid.level):
-        halves = torch.tensor([[n & 1, n >> 1 & 1, n >> 2] for n in range(8)], device=cells.device)
-        ijk = (2 * ijk[:, None] + halves).reshape(-1, 3)
-    for _ in range(grid.level - finer.level):
-        ijk = ijk >> 1
-    return pack(finer.level, ijk).unique()

@@ -2,8 +2,8 @@
 
 import numpy as np
 from jaxtyping import Bool, Float, Int64
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
+
+from sculpt_framework.geometry.topology import components
 
 _SPECK_SHARE = 0.01
 """A piece with less than this share of the largest piece's area is a speck."""
@@ -16,11 +16,8 @@ def main_faces(vertices: Float[np.ndarray, "v 3"], faces: Int64[np.ndarray, "f 3
     """
     if len(faces) == 0:
         return np.zeros(0, dtype=bool)
-    edges = np.concatenate([faces[:, :2], faces[:, 1:]])
-    graph = coo_array((np.ones(len(edges), dtype=np.int8), (edges[:, 0], edges[:, 1])), shape=(len(vertices),) * 2)
-    count, label = connected_components(graph, directed=False)
-    piece = label[faces[:, 0]]
-    if len(np.unique(piece)) == 1:
+    count, piece = components(faces)
+    if count == 1:
         return np.ones(len(faces), dtype=bool)
     corners = vertices[faces].astype(np.float64)
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

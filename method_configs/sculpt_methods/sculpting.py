@@ -12,6 +12,7 @@ from sculpt_plugins.constraints.spacing.config import SpacingConfig
 from sculpt_plugins.datasets.auto.config import AutoDatasetConfig
 from sculpt_plugins.extractors.flexicubes.config import FlexiCubesConfig
 from sculpt_plugins.fields.hash_grid.config import HashGridFieldConfig
+from sculpt_plugins.initializers.photo_hull.config import PhotoHullConfig
 from sculpt_plugins.initializers.visual_hull.config import VisualHullConfig
 from sculpt_plugins.losses.deviation.config import DeviationConfig
 from sculpt_plugins.losses.eikonal.config import EikonalConfig
@@ -32,7 +33,7 @@ def gaussian_sculpting() -> MethodConfig:
         binder=FaceBarycentricConfig(),
         appearance=ColorFieldConfig(),
         rasterizer=AutoRasterizerConfig(),
-        initializer=VisualHullConfig(),
+        initializer=PhotoHullConfig(),
         dataset=AutoDatasetConfig(),
         losses=(PhotometricConfig(), SilhouetteConfig(), EikonalConfig(), SignChangeConfig(), DeviationConfig()),
         constraints=(MeeScaleConfig(), BoundaryConfig(), SpacingConfig(), CoverageConfig()),
@@ -49,34 +50,13 @@ def gaussian_sculpting() -> MethodConfig:
     )
 
 
-def gaussian_sculpting_deep() -> MethodConfig:
-    """For deep cavities no silhouette shows: long coarse stages at high rates dig them, at some cost in smoothness."""
-    base = gaussian_sculpting()
-    return replace(
-        base,
-        method="gaussian-sculpting-deep",
-        field=HashGridFieldConfig(learning_rate=0.03),
-        trainer=replace(
-            base.trainer,
-            outer_steps=480,
-            final_rate=0.005,
-            stages=(
-                # Pixels about as large as cells: blurred images are what pulls a surface over long distances.
-                StageConfig(share=0.40, time_share=0.15, level=0, image_scale=0.125, inner_steps=4, outer_views=4),
-                StageConfig(share=0.30, time_share=0.20, level=1, image_scale=0.25, inner_steps=4, outer_views=4),
-                StageConfig(share=0.15, time_share=0.20, level=1, image_scale=0.5, inner_steps=4, outer_views=4),
-                StageConfig(share=0.15, time_share=0.45, level=2, image_scale=1.0, inner_steps=4, outer_views=4),
-            ),
-        ),
-    )
-
-
 def gaussian_sculpting_tiny() -> MethodConfig:
     """A few coarse steps in seconds: for tests and first contact."""
     base = gaussian_sculpting()
     return replace(
         base,
         method="gaussian-sculpting-tiny",
+        initializer=VisualHullConfig(),
         trainer=replace(
             base.trainer,
             outer_steps=24,

@@ -40,6 +40,7 @@ BUILTIN: dict[str, dict[str, str]] = {
         "coverage": "sculpt_plugins.constraints.coverage.config:CoverageConfig",
     },
     "initializer": {
+        "photo-hull": "sculpt_plugins.initializers.photo_hull.config:PhotoHullConfig",
         "sphere": "sculpt_plugins.initializers.sphere.config:SphereConfig",
         "visual-hull": "sculpt_plugins.initializers.visual_hull.config:VisualHullConfig",
     },
@@ -57,7 +58,6 @@ BUILTIN: dict[str, dict[str, str]] = {
 
 METHODS: dict[str, str] = {
     "gaussian-sculpting": "sculpt_methods.sculpting:gaussian_sculpting",
-    "gaussian-sculpting-deep": "sculpt_methods.sculpting:gaussian_sculpting_deep",
     "gaussian-sculpting-paper": "sculpt_methods.paper:gaussian_sculpting_paper",
     "gaussian-sculpting-tiny": "sculpt_methods.sculpting:gaussian_sculpting_tiny",
 }

@@ -1,0 +1,38 @@
+"""What the silhouettes and the agreement of colours say."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from sculpt_framework.config import InitializerConfig
+
+if TYPE_CHECKING:
+    from sculpt_plugins.initializers.photo_hull.initializer import PhotoHull
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhotoHullConfig(InitializerConfig):
+    """The visual hull, carved where the colours of several views agree on a surface deeper inside."""
+
+    max_views: int = 100
+    """Use at most so many views, spread evenly over the list."""
+    cells: int = 96
+    """Cells along the longest side of the object's box; the images are scaled to as many pixels."""
+    maps: int = 50
+    """Views that get a depth map, spread evenly."""
+    depths: int = 64
+    """Depths tried across the object, per pixel."""
+    neighbours: int = 8
+    """Views each view is compared with."""
+    best_of: int = 3
+    """Of these, the best matching ones that count: the others may not see the point."""
+    ambiguity: float = 1.5
+    """Take the nearest depth whose difference of colours is at most so many times the smallest. Larger: carve less."""
+    agreeing: int = 2
+    """Views that must have the same depth for it to be believed."""
+    margin: float = 0.7
+    """Leave alone what is less deep below the hull than this, in steps of depth: no depth is more exact."""
+
+    def build(self) -> "PhotoHull":
+        from sculpt_plugins.initializers.photo_hull.initializer import PhotoHull
+
+        return PhotoHull(self)

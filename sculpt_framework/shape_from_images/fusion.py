@@ -1,0 +1,94 @@
+"""From depth maps to a signed distance: what views see through is empty, and what none knows stays as it was."""
+
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float32
+from scipy import ndimage
+
+from sculpt_framework.cpu_kernels import kernel_cache
+from sculpt_framework.shape_from_images.depth_maps import DepthMaps
+from sculpt_framework.shape_from_images.packing import PackedViews
+from sculpt_framework.shape_from_images.volume import Volume
+
+with kernel_cache("sweep", Path(__file__).with_name("sweep_kernels.py")):
+    from sculpt_framework.shape_from_images.sweep_kernels import fuse
+
+_TRUNCATION = 3.0
+"""Cells within which a depth speaks of a surface."""
+_SURE = 8.0
+"""Views after which more of them do not make a value surer."""
+_PRIOR = 0.02
+"""Weight of the shape known before, relative to that of a value that is sure."""
+_STIFFNESS = 0.3
+"""Pull of the six neighbours, relative to that of a value that is sure: fills what no view knows, smoothly."""
+_SWEEPS = 100
+_CRUMB = 1e-3
+"""Pieces smaller than this share of the largest are mistakes."""
+
+
+def carve(solid: Volume, views: PackedViews, maps: DepthMaps, margin: float) -> Volume:
+    """The volume's shape without what the depth maps see through, as a signed distance in object units.
+
+    ``solid`` is a signed distance. Places less than ``margin`` below its surface are left alone: depths are no more
+    exact than that. Closed bubbles inside are filled, crumbs outside removed.
+    """
+    truncation = _TRUNCATION * solid.cell
+    points = solid.points
+    total, weight = np.zeros(len(points), np.float32), np.zeros(len(points), np.float32)
+    fuse(points, maps.depths, views.poses, views.lenses, np.float32(truncation), total, weight)
+    total, weight = total.reshape(solid.shape), weight.reshape(solid.shape)
+    prior = np.clip(solid.values, -truncation, truncation)
+    seen = _fill(total / np.maximum(weight, 1), np.minimum(weight, _SURE) / _SURE, prior)
+    carved = np.maximum(seen - np.float32(margin), solid.values)
+    return solid.holding(signed_distance(_one_piece(carved < 0), carved, solid.cell))
+
+
+def _fill(
+    value: Float32[np.ndarray, "x y z"], weight: Float32[np.ndarray, "x y z"], prior: Float32[np.ndarray, "x y z"]
+) -> Float32[np.ndarray, "x y z"]:
+    """Minimise weight (phi - value)^2 + _PRIOR (phi - prior)^2 + _STIFFNESS (steps between cells)^2, by Jacobi."""
+    phi = np.where(weight > 0, value, prior).astype(np.float32)
+    wanted = weight * value + np.float32(_PRIOR) * prior
+    share = np.float32(1) / (weight + np.float32(_PRIOR + _STIFFNESS))
+    for _ in range(_SWEEPS):
+        wide = np.pad(phi, 1, mode="edge")
+        around = wide[2:, 1:-1, 1:-1] + wide[:-2, 1:-1, 1:-1]
+        around += wide[1:-1, 2:, 1:-1]
+        around += wide[1:-1, :-2, 1:-1]
+        around += wide[1:-1, 1:-1, 2:]
+        around += wide[1:-1, 1:-1, :-2]
+        around *= np.float32(_STIFFNESS / 6)
+        around += wanted
+        around *= share
+        phi = around
+    return phi
+
+
+def _one_piece(inside: Bool[np.ndarray, "x y z"]) -> Bool[np.ndarray, "x y z"]:
+    """Without closed bubbles and without crumbs."""
+    solid = np.asarray(ndimage.binary_fill_holes(inside), dtype=bool)
+    label = np.zeros(solid.shape, np.int32)
+    ndimage.label(solid, output=label)
+    sizes = np.bincount(label.reshape(-1))
+    sizes[0] = 0
+    return (sizes >= max(1, _CRUMB * sizes.max()))[label]
+
+
+def signed_distance(
+    inside: Bool[np.ndarray, "x y z"], level: Float32[np.ndarray, "x y z"], cell: float
+) -> Float32[np.ndarray, "x y z"]:
+    """Distance to the surface of ``inside``, negative there; ``level`` says where between cells its zero lies.
+
+    ``level`` may have any scale: within 1.5 cells of the surface it is divided by the length of its gradient. Where its
+    sign is not that of ``inside``, and further away, the distance is that between centres of cells.
+    """
+    if inside.all() or not inside.any():
+        return np.where(inside, -1, 1).astype(np.float32)
+    outer = np.asarray(ndimage.distance_transform_edt(~inside))
+    inner = np.asarray(ndimage.distance_transform_edt(inside))
+    far = np.where(inside, 0.5 - inner, outer - 0.5) * cell
+    slope = np.sqrt(sum(np.square(part) for part in np.gradient(level, cell)))
+    near = np.clip(level / np.maximum(slope, 0.2), -1.5 * cell, 1.5 * cell)
+    trusted = ((near < 0) == inside) & (np.abs(far) < 1.5 * cell)
+    return np.where(trusted, near, far).astype(np.float32)

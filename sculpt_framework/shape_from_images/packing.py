@@ -1,0 +1,101 @@
+"""Views as plain arrays for kernels: cropped to the object, and scaled so that pixels are alike in all of them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Bool, Float32, Int64
+
+from sculpt_framework.types import View
+
+_MARGIN = 2
+"""Pixels of the input kept around the object."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PackedViews:
+    """Images of different sizes in the upper left corners of one stack; the rest is black and outside of the masks.
+
+    A point is projected by ``poses`` into camera coordinates (OpenCV), then by ``lenses`` (fx, fy, cx, cy) to pixels.
+    """
+
+    colors: Float32[np.ndarray, "v h w 3"]
+    """Multiplied by coverage, in [0, 1]."""
+    inside: Bool[np.ndarray, "v h w"]
+    poses: Float32[np.ndarray, "v 3 4"]
+    lenses: Float32[np.ndarray, "v 4"]
+    positions: Float32[np.ndarray, "v 3"]
+
+    def __len__(self) -> int:
+        return len(self.colors)
+
+    def relative(self, view: int, others: Int64[np.ndarray, " n"]) -> Float32[np.ndarray, "n 3 4"]:
+        """What leads from the camera frame of a view into those of others."""
+        rotation, translation = self.poses[view, :, :3].astype(float), self.poses[view, :, 3].astype(float)
+        turned = self.poses[others, :, :3].astype(float) @ rotation.T
+        return np.concatenate([turned, self.poses[others, :, 3:] - (turned @ translation)[..., None]], 2).astype("f4")
+
+    def neighbours(self, count: int, angle: float, limits: tuple[float, float]) -> list[Int64[np.ndarray, " n"]]:
+        """For each view at most ``count`` others, those first whose angle to it is nearest to ``angle``.
+
+        Angles in degrees, between the directions in which the views stand as seen from the origin, within ``limits``.
+        Sorted by angle, nearest view first.
+        """
+        directions = self.positions / np.maximum(np.linalg.norm(self.positions, axis=1, keepdims=True), 1e-9)
+        angles = np.degrees(np.arccos(np.clip(directions.astype(float) @ directions.T.astype(float), -1, 1)))
+        chosen = []
+        for i, row in enumerate(angles):
+            fit = np.flatnonzero((row >= limits[0]) & (row <= limits[1]) & (np.arange(len(row)) != i))
+            fit = fit[np.argsort(np.abs(row[fit] - angle), kind="stable")][:count]
+            chosen.append(fit[np.argsort(row[fit], kind="stable")])
+        return chosen
+
+
+def pack_views(views: Sequence[View], pixels_per_unit: float) -> PackedViews:
+    """Views with masks, their cameras in the object frame, at about ``pixels_per_unit`` at the origin; never enlarged.
+
+    Views whose mask is empty, or that stand at the origin, are left out.
+    """
+    packed = [part for view in views if (part := _prepare(view, pixels_per_unit)) is not None]
+    height = max((view.rgb.shape[0] for view in packed), default=0)
+    width = max((view.rgb.shape[1] for view in packed), default=0)
+    colors = np.zeros((len(packed), height, width, 3), np.float32)
+    inside = np.zeros((len(packed), height, width), bool)
+    for i, view in enumerate(packed):
+        rows, columns = view.rgb.shape[:2]
+        colors[i, :rows, :columns] = view.rgb.numpy()
+        inside[i, :rows, :columns] = view.alpha.numpy() >= 0.5 if view.alpha is not None else True
+    cameras = [view.camera for view in packed]
+    lenses = [[camera.fx, camera.fy, camera.cx, camera.cy] for camera in cameras]
+    poses = [camera.world_to_camera[:3].double().numpy() for camera in cameras]
+    positions = [camera.position.double().numpy() for camera in cameras]
+    return PackedViews(
+        colors=colors,
+        inside=inside,
+        poses=np.array(poses, np.float32).reshape(-1, 3, 4),
+        lenses=np.array(lenses, np.float32).reshape(-1, 4),
+        positions=np.array(positions, np.float32).reshape(-1, 3),
+    )
+
+
+def _prepare(view: View, pixels_per_unit: float) -> View | None:
+    distance = float(view.camera.position.norm())
+    if view.alpha is None or distance == 0.0:
+        return None
+    rows, columns = np.nonzero(view.alpha.cpu().numpy() >= 0.5)
+    if len(rows) == 0:
+        return None
+    height, width = view.alpha.shape
+    x0, y0 = max(0, int(columns.min()) - _MARGIN), max(0, int(rows.min()) - _MARGIN)
+    x1, y1 = min(width, int(columns.max()) + 1 + _MARGIN), min(height, int(rows.max()) + 1 + _MARGIN)
+    camera = view.camera.crop(x0, y0, x1 - x0, y1 - y0)
+    alpha = view.alpha[y0:y1, x0:x1].cpu().numpy()
+    rgb = view.rgb[y0:y1, x0:x1].cpu().numpy() * alpha[..., None]
+    scale = min(1.0, pixels_per_unit * distance / max(camera.fx, camera.fy))
+    size = max(1, round(camera.width * scale)), max(1, round(camera.height * scale))
+    shrunk = [cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in (rgb, alpha)]
+    return replace(
+        view, camera=camera.resized(*size), rgb=torch.from_numpy(shrunk[0]), alpha=torch.from_numpy(shrunk[1])
+    )

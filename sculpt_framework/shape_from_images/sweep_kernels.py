@@ -1,0 +1,233 @@
+"""Depth by agreement of colours: the loops, for the CPU."""
+
+import numpy as np
+from numba import njit, prange
+
+# No "nnan" and "ninf": unknown depths are NaN, and places out of the question cost infinitely much.
+_OPTIONS = {"fastmath": {"nsz", "contract", "reassoc", "arcp"}, "error_model": "numpy", "cache": True, "nogil": True}
+_WINDOW = 9
+"""Pixels that are compared together: 3 x 3."""
+_NEVER = np.float32(1.0)
+"""Cost where a view cannot see the point: the largest difference of colours there is."""
+_NEAR = np.float32(1e-3)
+_GOOD = np.float32(0.02)
+"""A difference of colours that sampling and noise explain: nothing deeper is looked for."""
+
+
+@njit(inline="always", **_OPTIONS)
+def _ray(pose, lens, column, row):
+    """The world displacement, per unit of depth, of the ray through an image point."""
+    x, y = (column - lens[2]) / lens[0], (row - lens[3]) / lens[1]
+    return (
+        pose[0, 0] * x + pose[1, 0] * y + pose[2, 0],
+        pose[0, 1] * x + pose[1, 1] * y + pose[2, 1],
+        pose[0, 2] * x + pose[1, 2] * y + pose[2, 2],
+    )
+
+
+@njit(inline="always", **_OPTIONS)
+def _rotate(pose, x, y, z):
+    return (
+        pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z,
+        pose[1, 0] * x + pose[1, 1] * y + pose[1, 2] * z,
+        pose[2, 0] * x + pose[2, 1] * y + pose[2, 2] * z,
+    )
+
+
+@njit(inline="always", **_OPTIONS)
+def _difference(window, image, lens, point, across, down, enough):
+    """Mean absolute difference between a window and its image in another view, given in that view's frame.
+
+    ``point`` is the window's centre, ``across`` and ``down`` lead to its next pixels. Gives up above ``enough``.
+    """
+    height, width = image.shape[0], image.shape[1]
+    limit = enough * np.float32(3 * _WINDOW)
+    total = np.float32(0)
+    n = 0
+    for a in range(-1, 2):
+        for b in range(-1, 2):
+            z = point[2] + a * down[2] + b * across[2]
+            if z <= _NEAR:
+                return _NEVER
+            u = lens[0] * (point[0] + a * down[0] + b * across[0]) / z + lens[2] - np.float32(0.5)
+            v = lens[1] * (point[1] + a * down[1] + b * across[1]) / z + lens[3] - np.float32(0.5)
+            if not (0 <= u < width - 1 and 0 <= v < height - 1):
+                return _NEVER
+            column, row = int(u), int(v)
+            right, below = u - column, v - row
+            left, above = 1 - right, 1 - below
+            for c in range(3):
+                upper = image[row, column, c] * left + image[row, column + 1, c] * right
+                lower = image[row + 1, column, c] * left + image[row + 1, column + 1, c] * right
+                total += abs(upper * above + lower * below - window[n, c])
+            n += 1
+        if total > limit:
+            return _NEVER
+    return total / np.float32(3 * _WINDOW)
+
+
+@njit(inline="always", **_OPTIONS)
+def _solid(solid, origin, cell, x, y, z):
+    i, j, k = int((x - origin[0]) / cell), int((y - origin[1]) / cell), int((z - origin[2]) / cell)
+    if x < origin[0] or y < origin[1] or z < origin[2]:
+        return False
+    if i >= solid.shape[0] or j >= solid.shape[1] or k >= solid.shape[2]:
+        return False
+    return solid[i, j, k]
+
+
+@njit(inline="always", **_OPTIONS)
+def _choose(costs, ambiguity):
+    """(index, fraction, cost) of the first local minimum no worse than ``ambiguity`` times the best or than what is
+    good enough; index -1: none."""
+    best = np.float32(np.inf)
+    for d in range(costs.shape[0]):
+        best = min(best, costs[d])
+    if not best < _NEVER:
+        return -1, np.float32(0), best
+    limit = max(best * ambiguity, _GOOD)
+    for d in range(costs.shape[0]):
+        here = costs[d]
+        before = costs[d - 1] if d > 0 else np.float32(np.inf)
+        after = costs[d + 1] if d + 1 < costs.shape[0] else np.float32(np.inf)
+        if here <= limit and here <= before and here <= after:
+            bend = before + after - 2 * here
+            fraction = np.float32(0)
+            if bend < np.float32(np.inf) and bend > np.float32(1e-6):
+                fraction = min(max(np.float32(0.5) * (before - after) / bend, np.float32(-0.5)), np.float32(0.5))
+            return d, fraction, here
+    return -1, np.float32(0), best
+
+
+@njit(inline="always", **_OPTIONS)
+def _cost(window, colors, lenses, others, relative, x, y, depth, across, down, best):
+    """Mean of the smallest differences to ``others`` that a place at ``depth`` (x, y: its ray at depth 1) would have.
+
+    ``best`` is scratch, as long as the number of differences that count: the other views may not see the place.
+    """
+    last = best.shape[0] - 1
+    best[:] = _NEVER
+    for q in range(others.shape[0]):
+        to = relative[q]
+        cost = _difference(
+            window,
+            colors[others[q]],
+            lenses[others[q]],
+            (
+                depth * (to[0, 0] * x + to[0, 1] * y + to[0, 2]) + to[0, 3],
+                depth * (to[1, 0] * x + to[1, 1] * y + to[1, 2]) + to[1, 3],
+                depth * (to[2, 0] * x + to[2, 1] * y + to[2, 2]) + to[2, 3],
+            ),
+            (depth * across * to[0, 0], depth * across * to[1, 0], depth * across * to[2, 0]),
+            (depth * down * to[0, 1], depth * down * to[1, 1], depth * down * to[2, 1]),
+            best[last],
+        )
+        slot = last
+        if cost < best[slot]:
+            while slot > 0 and cost < best[slot - 1]:
+                best[slot] = best[slot - 1]
+                slot -= 1
+            best[slot] = cost
+    total = np.float32(0)
+    for q in range(last + 1):
+        total += best[q]
+    return total / np.float32(last + 1)
+
+
+@njit(parallel=True, **_OPTIONS)
+def sweep(colors, inside, pose, position, lenses, view, others, relative, inverse_depths, solid, origin, cell, best_of, ambiguity, worst, depths):  # fmt: skip # noqa: E501
+    """Fill ``depths`` [h, w] of one view: depth along the camera's axis, NaN where none can be told.
+
+    A depth's cost is the mean of the ``best_of`` smallest differences to ``others``, into whose frames ``relative``
+    leads. Only places that are ``solid`` come into question. Depths are tried in equal steps of their inverse, from the
+    camera on, until one is good.
+    """
+    height, width = depths.shape
+    lens = lenses[view]
+    count = inverse_depths.shape[0]
+    across, down = 1 / lens[0], 1 / lens[1]
+    step = (inverse_depths[count - 1] - inverse_depths[0]) / np.float32(count - 1)
+    for row in prange(height):
+        window = np.empty((_WINDOW, 3), np.float32)
+        costs = np.empty(count, np.float32)
+        best = np.empty(best_of, np.float32)
+        for column in range(width):
+            depths[row, column] = np.nan
+            if row < 1 or column < 1 or row >= height - 1 or column >= width - 1 or not inside[view, row, column]:
+                continue
+            n = 0
+            for a in range(-1, 2):
+                for b in range(-1, 2):
+                    for c in range(3):
+                        window[n, c] = colors[view, row + a, column + b, c]
+                    n += 1
+            x = (np.float32(column + 0.5) - lens[2]) * across
+            y = (np.float32(row + 0.5) - lens[3]) * down
+            ray = _ray(pose, lens, np.float32(column + 0.5), np.float32(row + 0.5))
+            costs[:] = np.inf
+            for d in range(count):
+                depth = 1 / inverse_depths[d]
+                place = position[0] + depth * ray[0], position[1] + depth * ray[1], position[2] + depth * ray[2]
+                if _solid(solid, origin, cell, place[0], place[1], place[2]):
+                    costs[d] = _cost(window, colors, lenses, others, relative, x, y, depth, across, down, best)
+                if d > 0 and costs[d - 1] <= _GOOD and costs[d - 1] <= costs[d]:
+                    break
+            index, fraction, cost = _choose(costs, ambiguity)
+            if index >= 0 and cost <= worst:
+                depths[row, column] = 1 / (inverse_depths[index] + fraction * step)
+
+
+@njit(parallel=True, **_OPTIONS)
+def count_agreeing(depths, poses, lenses, positions, others, tolerance, agreeing):
+    """How many of ``others`` [v, n] (-1: none) have, where they see a depth map's point, a depth within tolerance."""
+    views, height, width = depths.shape
+    for i in prange(views):
+        for row in range(height):
+            for column in range(width):
+                agreeing[i, row, column] = 0
+                depth = depths[i, row, column]
+                if not depth > 0:
+                    continue
+                ray = _ray(poses[i], lenses[i], np.float32(column + 0.5), np.float32(row + 0.5))
+                x = positions[i, 0] + depth * ray[0]
+                y = positions[i, 1] + depth * ray[1]
+                z = positions[i, 2] + depth * ray[2]
+                for q in range(others.shape[1]):
+                    other = others[i, q]
+                    if other < 0:
+                        continue
+                    u, v, far = _project(poses[other], lenses[other], x, y, z)
+                    if far > _NEAR and 0 <= u < width and 0 <= v < height:
+                        agreeing[i, row, column] += abs(depths[other, int(v), int(u)] - far) < tolerance
+
+
+@njit(inline="always", **_OPTIONS)
+def _project(pose, lens, x, y, z):
+    point = _rotate(pose, x, y, z)
+    far = point[2] + pose[2, 3]
+    return (
+        lens[0] * (point[0] + pose[0, 3]) / far + lens[2],
+        lens[1] * (point[1] + pose[1, 3]) / far + lens[3],
+        far,
+    )
+
+
+@njit(parallel=True, **_OPTIONS)
+def fuse(points, depths, poses, lenses, truncation, total, weight):
+    """Per point, the sum over views of how far in front of the seen surface it lies, and the number of such views.
+
+    Cut at ``truncation`` in front; a view says nothing about what lies deeper than that behind what it sees.
+    """
+    views, height, width = depths.shape
+    for n in prange(points.shape[0]):
+        x, y, z = points[n, 0], points[n, 1], points[n, 2]
+        total[n] = 0
+        weight[n] = 0
+        for i in range(views):
+            u, v, far = _project(poses[i], lenses[i], x, y, z)
+            if not (far > _NEAR and 0 <= u < width and 0 <= v < height):
+                continue
+            ahead = depths[i, int(v), int(u)] - far
+            if ahead >= -truncation:
+                total[n] += min(ahead, truncation)
+                weight[n] += 1

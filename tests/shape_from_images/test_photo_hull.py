@@ -1,0 +1,189 @@
+"""A first shape from silhouettes and colours, on a ball with a deep dent."""
+
+import numpy as np
+import pytest
+import torch
+
+from sculpt_framework.demo_scenes.cameras import demo_cameras
+from sculpt_framework.demo_scenes.distance import capsule, smooth_difference, sphere
+from sculpt_framework.demo_scenes.objects import DemoObject
+from sculpt_framework.demo_scenes.texture import SolidTexture
+from sculpt_framework.demo_scenes.tracing import render
+from sculpt_framework.errors import DataError
+from sculpt_framework.shape_from_images.depth_maps import DepthMaps, SweepOptions, find_depths
+from sculpt_framework.shape_from_images.fusion import carve, signed_distance
+from sculpt_framework.shape_from_images.hull import signed_mask_distance, visual_hull
+from sculpt_framework.shape_from_images.packing import pack_views
+from sculpt_framework.shape_from_images.volume import Volume, sample
+from sculpt_framework.types import View
+from sculpt_plugins.initializers.photo_hull.config import PhotoHullConfig
+
+CPU = torch.device("cpu")
+HALF_SIDES = torch.tensor([1.0, 1.0, 1.0])
+SIDE = 96
+OPTIONS = SweepOptions(views=40, depths=48, neighbours=6, best_of=3, ambiguity=1.5, agreeing=2)
+
+
+def dented_ball(p):
+    return smooth_difference(sphere(p, (0.0, 0.0, 0.0), 0.8), capsule(p, (0.0, 0.0, 0.9), (0.0, 0.0, 0.5), 0.3), 0.06)
+
+
+TEXTURE = SolidTexture(ground=(0.75, 0.3, 0.3), patches=(0.85, 0.75, 0.45), spots=(0.2, 0.25, 0.45), seed=3)
+BALL = DemoObject(name="ball", summary="", distance=dented_ball, texture=TEXTURE, genus=0)
+
+
+@pytest.fixture(scope="module")
+def views() -> list[View]:
+    made = []
+    for i, camera in enumerate(demo_cameras(40, SIDE)):
+        rgb, alpha = render(BALL, camera)
+        made.append(View(name=str(i), camera=camera, rgb=torch.from_numpy(rgb), alpha=torch.from_numpy(alpha)))
+    return made
+
+
+def truth(points: np.ndarray) -> np.ndarray:
+    return dented_ball(points.T.astype(np.float64))
+
+
+def error_in_dent(values: np.ndarray, points: np.ndarray) -> float:
+    """Mean distance, from the true surface of the dent, of the surface that values (a signed distance) describe."""
+    deep = (np.abs(truth(points)) < 0.02) & (np.hypot(points[:, 0], points[:, 1]) < 0.25) & (points[:, 2] > 0)
+    assert deep.sum() > 50
+    return float(np.abs(values[deep] - truth(points)[deep]).mean())
+
+
+def test_photo_hull_digs_what_no_silhouette_shows(views):
+    target = PhotoHullConfig(cells=64, depths=48).build().target(views, HALF_SIDES, CPU)
+    hull = visual_hull(views, 100, CPU)
+    dense = sample(hull, (1.0, 1.0, 1.0), 64, CPU)
+    points = torch.from_numpy(dense.points)
+    before = error_in_dent(dense.values.reshape(-1), dense.points)
+    after = error_in_dent(target(points).numpy(), dense.points)
+    assert before > 0.15
+    assert after < 0.25 * before
+    # It never grows beyond the hull, and where the ball is convex it stays there.
+    assert bool((target(points) >= hull(points)).all())
+    side = (np.abs(truth(dense.points)) < 0.015) & (np.abs(dense.points[:, 2]) < 0.3)
+    assert np.abs(target(points).numpy() - truth(dense.points))[side].mean() < 0.02
+
+
+def test_depths_are_right(views):
+    packed = pack_views(views, 32.0)
+    maps = find_depths(packed, sample(visual_hull(views, 100, CPU), (1.0, 1.0, 1.0), 64, CPU), OPTIONS)
+    assert maps.known > 0.7
+    view, row, column = np.nonzero(np.isfinite(maps.depths))
+    lens, pose = packed.lenses[view].astype(float), packed.poses[view].astype(float)
+    local = np.stack(
+        [(column + 0.5 - lens[:, 2]) / lens[:, 0], (row + 0.5 - lens[:, 3]) / lens[:, 1], 0 * lens[:, 0] + 1]
+    )
+    place = (local * maps.depths[view, row, column]).T - pose[:, :, 3]
+    world = np.einsum("nij,ni->nj", pose[:, :, :3], place)
+    off = np.abs(truth(world))
+    assert np.median(off) < 0.5 * maps.step
+    assert np.mean(off < 2 * maps.step) > 0.95
+
+
+def test_without_texture_the_hull_stays(views):
+    grey = [View(name=v.name, camera=v.camera, rgb=torch.full_like(v.rgb, 0.5), alpha=v.alpha) for v in views]
+    target = PhotoHullConfig(cells=48, depths=32).build().target(grey, HALF_SIDES, CPU)
+    dense = sample(visual_hull(views, 100, CPU), (1.0, 1.0, 1.0), 48, CPU)
+    carved = (target(torch.from_numpy(dense.points)).numpy() > 0.02) & (dense.values.reshape(-1) < -0.02)
+    assert carved.mean() < 0.002
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_few_views_give_the_hull(views, count, caplog):
+    """So few have no neighbours to be compared with."""
+    caplog.set_level("INFO", "sculpt")
+    target = PhotoHullConfig(cells=32, depths=16).build().target(views[:count], HALF_SIDES, CPU)
+    dense = sample(visual_hull(views[:count], 100, CPU), (1.0, 1.0, 1.0), 32, CPU)
+    here = target(torch.from_numpy(dense.points)).numpy().reshape(dense.shape)
+    assert here == pytest.approx(dense.values, abs=1e-6)
+    assert "start from the visual hull" in caplog.text
+
+
+def test_no_masks_are_refused(views):
+    bare = [View(name=v.name, camera=v.camera, rgb=v.rgb, alpha=None) for v in views[:3]]
+    with pytest.raises(DataError, match="--initializer sphere"):
+        PhotoHullConfig().build().target(bare, HALF_SIDES, CPU)
+
+
+def test_images_of_different_sizes_are_packed(views):
+    small = View(
+        name="small",
+        camera=views[0].camera.resized(48, 48),
+        rgb=views[0].rgb[::2, ::2].contiguous(),
+        alpha=views[0].alpha[::2, ::2].contiguous(),
+    )
+    empty = View(name="e", camera=views[1].camera, rgb=views[1].rgb, alpha=torch.zeros_like(views[1].alpha))
+    packed = pack_views([views[0], small, empty], 1000.0)
+    assert len(packed) == 2
+    assert packed.inside[1].sum() == pytest.approx(packed.inside[0].sum() / 4, rel=0.05)
+    assert packed.relative(0, np.array([1])) == pytest.approx(np.eye(4)[None, :3], abs=1e-6)
+
+
+def test_neighbours_prefer_the_wanted_angle(views):
+    packed = pack_views(views, 32.0)
+    directions = packed.positions / np.linalg.norm(packed.positions, axis=1, keepdims=True)
+    for i, others in enumerate(packed.neighbours(5, 30.0, (10.0, 60.0))):
+        angles = np.degrees(np.arccos(np.clip(directions @ directions[i], -1, 1)))
+        chosen = np.abs(angles[others] - 30)
+        left_out = np.setdiff1d(np.flatnonzero((angles >= 10) & (angles <= 60)), others)
+        assert i not in others
+        assert (np.diff(angles[others]) >= 0).all()
+        assert len(left_out) == 0 or chosen.max() <= np.abs(angles[left_out] - 30).min() + 1e-4
+
+
+def test_exact_depths_carve_the_exact_shape(views):
+    """Depth maps computed from the truth: what is left is the error of fusing."""
+    packed = pack_views(views, 48.0)
+    depths = np.full(packed.inside.shape, np.nan, np.float32)
+    for i in range(len(packed)):
+        rows, columns = np.nonzero(packed.inside[i])
+        lens, pose = packed.lenses[i].astype(float), packed.poses[i].astype(float)
+        ray = np.stack([(columns + 0.5 - lens[2]) / lens[0], (rows + 0.5 - lens[3]) / lens[1], np.ones(len(rows))])
+        ray = pose[:, :3].T @ ray
+        depth = np.full(len(rows), np.linalg.norm(packed.positions[i]) - 1)
+        for _ in range(200):
+            gap = dented_ball(packed.positions[i][:, None].astype(float) + depth * ray)
+            depth += 0.9 * gap / np.linalg.norm(ray, axis=0)
+        gap = np.abs(dented_ball(packed.positions[i][:, None].astype(float) + depth * ray))
+        depths[i, rows, columns] = np.where(gap < 1e-3, depth, np.nan)
+    solid = sample(visual_hull(views, 100, CPU), (1.0, 1.0, 1.0), 96, CPU)
+    carved = carve(solid, packed, DepthMaps(depths=depths, step=0.0, known=1.0), 0.0)
+    assert error_in_dent(carved.values.reshape(-1), carved.points) < 0.4 * carved.cell
+
+
+def test_bubbles_are_filled_and_crumbs_removed(views):
+    """With no depth known at all the shape comes back without either."""
+    x, y, z = np.meshgrid(*[np.linspace(-1, 1, 41)] * 3, indexing="ij")
+    far = np.sqrt(x**2 + y**2 + z**2)
+    ball = np.maximum(far - 0.6, 0.2 - far)
+    crumb = np.sqrt((x - 0.8) ** 2 + (y - 0.8) ** 2 + (z - 0.8) ** 2) - 0.06
+    solid = Volume(values=np.minimum(ball, crumb).astype(np.float32), origin=(-1.025,) * 3, cell=0.05)
+    packed = pack_views(views[:2], 16.0)
+    nothing = DepthMaps(depths=np.full(packed.inside.shape, np.nan, np.float32), step=0.0, known=0.0)
+    values = carve(solid, packed, nothing, 0.0).values
+    assert (values[far < 0.5] < 0).all()
+    assert (values[far > 0.7] > 0).all()
+
+
+def test_signed_distance_of_a_sphere():
+    x, y, z = np.meshgrid(*[np.linspace(-1, 1, 65)] * 3, indexing="ij")
+    true = np.sqrt(x**2 + y**2 + z**2) - 0.6
+    cell = 2 / 64
+    scaled = (0.3 * np.clip(true, -0.1, 0.1)).astype(np.float32)
+    found = signed_distance(true < 0, scaled, cell)
+    close = np.abs(true) < cell
+    assert np.abs(found - true)[close].max() < 0.15 * cell
+    assert np.abs(found - true).max() < 1.0 * cell
+    empty = np.zeros((3, 3, 3), bool)
+    assert (signed_distance(empty, np.ones((3, 3, 3), np.float32), 1.0) > 0).all()
+
+
+def test_mask_distance_is_exact_to_a_fraction_of_a_pixel():
+    rows, columns = np.indices((48, 48)) + 0.5
+    true = np.hypot(rows - 24, columns - 24) - 15.3
+    coverage = torch.from_numpy(np.clip(0.5 - true, 0, 1).astype(np.float32))
+    assert np.abs(signed_mask_distance(coverage).numpy() - true).max() < 0.6
+    assert np.abs(signed_mask_distance(coverage).numpy() - true)[np.abs(true) < 0.4].max() < 0.05

@@ -8,7 +8,7 @@ import pytest
 
 
 class KernelFinder:
-    """Finds modules of numba kernels before the shape checker does: it would wrap what numba is about to compile."""
+    """Finds modules of kernels before the shape checker does: it would wrap what numba or Triton will compile."""
 
     def find_spec(
         self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
@@ -16,8 +16,10 @@ class KernelFinder:
         if not name.startswith(("sculpt_framework.", "sculpt_plugins.")):
             return None
         spec = PathFinder.find_spec(name, path, target)
-        is_source = spec is not None and spec.origin is not None and spec.origin.endswith(".py")
-        return spec if is_source and "from numba import" in Path(spec.origin).read_text(encoding="utf-8") else None
+        if spec is None or spec.origin is None or not spec.origin.endswith(".py"):
+            return None
+        source = Path(spec.origin).read_text(encoding="utf-8")
+        return spec if "from numba import" in source or "@triton.jit" in source else None
 
 
 sys.meta_path.insert(0, KernelFinder())

@@ -24,6 +24,8 @@ BUILTIN: dict[str, dict[str, str]] = {
         "auto": "sculpt_plugins.rasterizers.auto.config:AutoRasterizerConfig",
         "reference": "sculpt_plugins.rasterizers.reference.config:ReferenceRasterizerConfig",
         "numba": "sculpt_plugins.rasterizers.numba.config:NumbaRasterizerConfig",
+        "triton": "sculpt_plugins.rasterizers.triton.config:TritonRasterizerConfig",
+        "gsplat": "sculpt_plugins.rasterizers.gsplat.config:GsplatRasterizerConfig",
     },
     "losses": {
         "photometric": "sculpt_plugins.losses.photometric.config:PhotometricConfig",

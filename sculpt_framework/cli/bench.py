@@ -1,4 +1,4 @@
-"""``sculpt-bench``: how fast the parts that decide the speed of training are on this machine."""
+"""``sculpt-bench``: how fast the parts that decide the speed of training are on this machine; ``suite``: whole runs."""
 
 import importlib
 import statistics
@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from sculpt_framework.cli import exit_codes
-from sculpt_framework.errors import ConfigError
+from sculpt_framework.errors import ComponentImportError, ConfigError, DeviceError
 
 if TYPE_CHECKING:
     from types import ModuleType
 
+    import torch
     from torch import Tensor
 
     from sculpt_framework.types import Camera
@@ -33,13 +34,19 @@ RASTER_CASES = (
     (160_000, 1, 800),
     (160_000, 3, 800),
 )
+CUDA_RASTER_CASES = (*RASTER_CASES, (300_000, 1, 800), (1_000_000, 1, 800), (3_000_000, 1, 800))
+RASTERIZERS = {"cpu": ("numba",), "cuda": ("triton", "gsplat")}
 DENSE_PAIRS = 10_000_000
 """Pixels times Gaussians beyond which the reference, which forms all of these pairs, is left out."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class BenchRequest:
-    """Time forward plus backward passes: medians of wall and CPU milliseconds."""
+    """Time forward plus backward passes: medians of wall and CPU milliseconds.
+
+    Whole runs on a set of scenes have a command of their own: sculpt-bench suite --help
+    So has the cost of extraction by resolution: sculpt-bench extract --help
+    """
 
     what: Annotated[Literal["raster", "loss", "encode"], tyro.conf.Positional]
     """raster: Gaussians on a bumpy sphere; loss: L1 and SSIM; encode: the hash grid."""
@@ -51,6 +58,8 @@ class BenchRequest:
     """Numbers of the cases to run, counted from 0. Default: all."""
     compare_prototype: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")] = None
     """raster only: also time the raster_proto.py in this folder, its passes in turn with ours."""
+    device: Literal["cpu", "cuda"] = "cpu"
+    """raster only: cuda times triton and, where it is installed, gsplat."""
     json: Flag = False
     """Print JSON."""
 
@@ -66,6 +75,8 @@ class Row:
     cpu_ms: float
     forward_wall_ms: float
     backward_wall_ms: float
+    peak_mib: float | None = None
+    """CUDA memory at the highest point of the passes beside the inputs."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,6 +86,7 @@ class Contender:
     backend: str
     forward: "Callable[[], tuple[Tensor, ...]]"
     leaves: "Sequence[Tensor]"
+    cuda: bool = False
 
 
 def main() -> None:
@@ -84,13 +96,29 @@ def main() -> None:
 
 def bench(words: Sequence[str]) -> None:
     """Measure and print. Raises ConfigError; exits as tyro does for ``--help`` and values of a wrong type."""
+    if words and words[0] == "suite":
+        from sculpt_framework.cli.bench_suite import suite
+
+        suite(words[1:])
+        return
+    if words and words[0] == "extract":
+        from sculpt_framework.cli.bench_extract import bench_extract
+
+        bench_extract(words[1:])
+        return
     request = tyro.cli(BenchRequest, args=words, prog="sculpt-bench")
     if request.repeats < 1 or min(request.threads, default=0) < 1:
         raise ConfigError("--repeats and --threads take numbers from 1 upwards.")
     if request.compare_prototype is not None and request.what != "raster":
         raise ConfigError(f"--compare-prototype goes with 'raster', not with {request.what!r}.")
+    if request.device != "cpu" and request.what != "raster":
+        raise ConfigError(f"--device cuda goes with 'raster', not with {request.what!r}.")
+    if request.device != "cpu" and request.compare_prototype is not None:
+        raise ConfigError("--compare-prototype goes with --device cpu: the prototype knows no other.")
     import torch
 
+    if request.device == "cuda" and not torch.cuda.is_available():
+        raise DeviceError("--device cuda was asked for, but torch sees no CUDA device here; use --device cpu")
     cases = {"raster": _raster_cases, "loss": _loss_cases, "encode": _encode_cases}[request.what](request)
     rows = []
     for case, contenders in cases:
@@ -111,6 +139,7 @@ def _line(row: Row) -> str:
     return (
         f"{row.case:24} {row.backend:10} {row.threads} thread{'s' if row.threads > 1 else ' '} "
         f"wall {row.wall_ms:8.2f} ms ({row.forward_wall_ms:.2f} + {row.backward_wall_ms:.2f})  cpu {row.cpu_ms:8.2f} ms"
+        f"{'' if row.peak_mib is None else f'  peak {row.peak_mib:.0f} MiB'}"
     )
 
 
@@ -119,17 +148,26 @@ def _measure(case: str, contenders: Sequence[Contender], threads: int, repeats: 
     import torch
 
     times: dict[str, list[tuple[float, float, float]]] = {contender.backend: [] for contender in contenders}
+    peaks: dict[str, float] = {}
     for repeat in range(repeats + 2):
         for contender in contenders:
             for leaf in contender.leaves:
                 leaf.grad = None
+            wait = torch.cuda.synchronize if contender.cuda else _nothing
+            held = _reset_peak() if contender.cuda else 0
+            wait()
             wall, cpu = time.perf_counter(), time.process_time()
             outputs = contender.forward()
+            wait()
             middle = time.perf_counter()
             torch.autograd.backward(outputs, [torch.ones_like(output) for output in outputs])
+            wait()
             end = time.perf_counter()
             if repeat >= 2:
                 times[contender.backend].append((middle - wall, end - middle, time.process_time() - cpu))
+            if contender.cuda:
+                peaks[contender.backend] = round((torch.cuda.max_memory_allocated() - held) / 2**20, 1)
+            del outputs
     for contender in contenders:
         forward, backward, cpu = zip(*times[contender.backend], strict=True)
         yield Row(
@@ -140,7 +178,20 @@ def _measure(case: str, contenders: Sequence[Contender], threads: int, repeats: 
             cpu_ms=round(1e3 * statistics.median(cpu), 3),
             forward_wall_ms=round(1e3 * statistics.median(forward), 3),
             backward_wall_ms=round(1e3 * statistics.median(backward), 3),
+            peak_mib=peaks.get(contender.backend),
         )
+
+
+def _nothing() -> None:
+    """What there is to wait for on the CPU."""
+
+
+def _reset_peak() -> int:
+    """Bytes of CUDA memory in use now, from where the highest point is looked for."""
+    import torch
+
+    torch.cuda.reset_peak_memory_stats()
+    return torch.cuda.memory_allocated()
 
 
 def _chosen(request: BenchRequest, count: int) -> Sequence[int]:
@@ -151,28 +202,32 @@ def _chosen(request: BenchRequest, count: int) -> Sequence[int]:
 
 
 def _raster_cases(request: BenchRequest) -> Iterator[tuple[str, list[Contender]]]:
-    """Colour and coverage of Gaussians on a bumpy sphere that fills two fifths of the image, by every CPU backend."""
+    """Colour and coverage of Gaussians on a bumpy sphere that fills two fifths of the image, by all that run there."""
     import torch
 
     from sculpt_framework.types import Camera
 
     prototype = None if request.compare_prototype is None else _prototype(request.compare_prototype)
-    for number in _chosen(request, len(RASTER_CASES)):
-        faces, per_face, size = RASTER_CASES[number]
-        pose = torch.eye(4)
+    device = torch.device(request.device)
+    cases = CUDA_RASTER_CASES if request.device == "cuda" else RASTER_CASES
+    for number in _chosen(request, len(cases)):
+        faces, per_face, size = cases[number]
+        pose = torch.eye(4, device=device)
         pose[2, 3] = 2.6
         camera = Camera(
             world_to_camera=pose, fx=1.1 * size, fy=1.1 * size, cx=size / 2, cy=size / 2, width=size, height=size
         )
-        splats = [tensor.requires_grad_(True) for tensor in _splats_on_bumpy_sphere(faces, per_face)]
+        splats = [tensor.to(device).requires_grad_(True) for tensor in _splats_on_bumpy_sphere(faces, per_face)]
         dense = splats[0].shape[0] * size * size <= DENSE_PAIRS
-        contenders = [_rasterizer(name, splats, camera) for name in ("numba", *(("reference",) if dense else ()))]
+        names = (*RASTERIZERS[request.device], *(("reference",) if dense else ()))
+        contenders = [each for name in names if (each := _rasterizer(name, splats, camera, device)) is not None]
         if prototype is not None:
             contenders.append(_prototype_rasterizer(prototype, splats, camera))
         yield f"{faces} faces x{per_face} {size}px", contenders
 
 
-def _rasterizer(name: str, splats: "list[Tensor]", camera: "Camera") -> Contender:
+def _rasterizer(name: str, splats: "list[Tensor]", camera: "Camera", device: "torch.device") -> Contender | None:
+    """A backend's passes; None, and a line that says why, where it cannot run here."""
     import torch
 
     from sculpt_framework import registry
@@ -180,8 +235,12 @@ def _rasterizer(name: str, splats: "list[Tensor]", camera: "Camera") -> Contende
 
     config = registry.default("rasterizer", name)
     assert isinstance(config, RasterizerConfig)  # noqa: S101 - what the registry promises for the slot
-    rasterizer = config.build(torch.device("cpu"))
-    background = torch.zeros(3)
+    try:
+        rasterizer = config.build(device)
+    except (ComponentImportError, DeviceError) as error:
+        sys.stderr.write(f"{name} left out: {error}\n")
+        return None
+    background = torch.zeros(3, device=device)
 
     def forward() -> "tuple[Tensor, ...]":
         means, scales, rotations, opacities, colors = splats
@@ -190,7 +249,7 @@ def _rasterizer(name: str, splats: "list[Tensor]", camera: "Camera") -> Contende
         )
         return output.features, output.alpha
 
-    return Contender(backend=name, forward=forward, leaves=splats)
+    return Contender(backend=name, forward=forward, leaves=splats, cuda=device.type == "cuda")
 
 
 def _prototype(folder: Path) -> "ModuleType":

@@ -1,7 +1,7 @@
 """What every field, binder, appearance, rasteriser, loss and constraint must keep to."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import torch
 from torch import Tensor
@@ -20,6 +20,7 @@ from sculpt_framework.config import (
 from sculpt_framework.geometry.band import discover
 from sculpt_framework.geometry.grid import grid_over_box
 from sculpt_framework.losses import ImageLoss, Target
+from sculpt_framework.rasterizers import Rasterizer
 from sculpt_framework.testing.extraction import box_sdf, require, sphere_sdf
 from sculpt_framework.types import Camera, Gaussians, Rendering, Surface
 
@@ -180,9 +181,10 @@ def one_gaussian(scale: float = 0.2, device: torch.device | None = None) -> Gaus
 
 def check_rasterizer(config: RasterizerConfig, device: torch.device | None = None) -> None:
     """Check the contract of slot ``rasterizer`` on cases with a known answer."""
-    rasterizer, camera, gaussian = config.build(device or torch.device("cpu")), camera_at(3.0, 25), one_gaussian()
+    device = device or torch.device("cpu")
+    render, camera, gaussian = _render_on(config.build(device), device), camera_at(3.0, 25), one_gaussian()
     background = torch.tensor([0.2, 0.4, 0.6])
-    picture = rasterizer.render(gaussian, camera, background, low_pass_px2=0.0, normals=True)
+    picture = render(gaussian, camera, background, low_pass_px2=0.0, normals=True)
     require(picture.rgb.shape == (25, 25, 3) and picture.alpha.shape == (25, 25), "the picture has another size")
     center = float(picture.alpha[12, 12])
     require(abs(center - 0.9) < 1e-4, f"a Gaussian of opacity 0.9 covers {center:.4f} of the pixel on its mean")
@@ -195,13 +197,28 @@ def check_rasterizer(config: RasterizerConfig, device: torch.device | None = Non
     require(torch.allclose(picture.rgb[12, 12], blend, atol=1e-3), "colour and background are not blended by alpha")
     require(abs(float(picture.depth[12, 12]) - 0.9 * 3) < 1e-3, "depth is not the weighted sum of camera z")
     require(picture.normal is not None, "normals were asked for and are None")
-    _check_order(rasterizer.render, camera, background)
-    _check_slopes(rasterizer.render, camera, background)
-    behind = rasterizer.render(_at(gaussian, [0.0, 0.0, -9.0]), camera, background, low_pass_px2=0.0)
+    _check_order(render, camera, background)
+    _check_slopes(render, camera, background)
+    behind = render(_at(gaussian, [0.0, 0.0, -9.0]), camera, background, low_pass_px2=0.0)
     require(not bool(behind.alpha.any()), "a Gaussian behind the camera is drawn")
 
 
 Render = Callable[..., Rendering]
+
+
+def _render_on(rasterizer: Rasterizer, device: torch.device) -> Render:
+    """``rasterizer.render`` for inputs and results on the CPU."""
+
+    def render(
+        gaussians: Gaussians, camera: Camera, background: Tensor, *, low_pass_px2: float, normals: bool = False
+    ) -> Rendering:
+        moved = Gaussians(**{field.name: getattr(gaussians, field.name).to(device) for field in fields(gaussians)})
+        there = camera.to(device, torch.float32), background.to(device)
+        done = rasterizer.render(moved, *there, low_pass_px2=low_pass_px2, normals=normals)
+        normal = None if done.normal is None else done.normal.cpu()
+        return Rendering(rgb=done.rgb.cpu(), alpha=done.alpha.cpu(), depth=done.depth.cpu(), normal=normal)
+
+    return render
 
 
 def _at(gaussians: Gaussians, place: list[float]) -> Gaussians:

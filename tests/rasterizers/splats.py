@@ -85,24 +85,34 @@ def facing_splats(means: Tensor, scales: Tensor, opacity: float = 0.8, size: int
     )
 
 
-def rendered(rasterizer: Rasterizer, splats: Splats, dtype: torch.dtype) -> tuple[RasterOutput, dict[str, Tensor]]:
-    """The output, and the gradients by all inputs of a random weighting of features, alpha and depth."""
+def rendered(
+    rasterizer: Rasterizer, splats: Splats, dtype: torch.dtype, device: torch.device | None = None
+) -> tuple[RasterOutput, dict[str, Tensor]]:
+    """The output, and the gradients by all inputs of a random weighting of features, alpha and depth; on the CPU."""
+    device = device or torch.device("cpu")
     leaves = {name: getattr(splats, name) for name in INPUTS[:5]}
     leaves["world_to_camera"] = splats.camera.world_to_camera
-    leaves = {name: leaf.to(dtype).clone().requires_grad_(True) for name, leaf in leaves.items()}
+    leaves = {name: leaf.to(device, dtype).clone().requires_grad_(True) for name, leaf in leaves.items()}
     pose = leaves["world_to_camera"]
     output = rasterizer.rasterize(
         *(leaves[name] for name in INPUTS[:5]),
         replace(splats.camera, world_to_camera=pose),
-        splats.background.to(dtype),
+        splats.background.to(device, dtype),
         low_pass_px2=splats.low_pass_px2,
         alpha_max=splats.alpha_max,
     )
+    weighted(output).backward()
+    images = RasterOutput(
+        features=output.features.detach().cpu(), alpha=output.alpha.detach().cpu(), depth=output.depth.detach().cpu()
+    )
+    return images, {name: leaf.grad.cpu() for name, leaf in leaves.items()}
+
+
+def weighted(output: RasterOutput) -> Tensor:
+    """The sum of features, alpha and depth, each number with a random weight of its own."""
     generator = torch.Generator().manual_seed(7)
-    total = torch.zeros((), dtype=dtype)
+    total = output.alpha.new_zeros(())
     for image in (output.features, output.alpha, output.depth):
         weights = torch.randn(image.shape, dtype=torch.float64, generator=generator)
-        total = total + (image * weights.to(dtype)).sum()
-    total.backward()
-    images = RasterOutput(features=output.features.detach(), alpha=output.alpha.detach(), depth=output.depth.detach())
-    return images, {name: leaf.grad for name, leaf in leaves.items()}
+        total = total + (image * weights.to(image)).sum()
+    return total

@@ -1,21 +1,13 @@
 """The definition itself: gradients against finite differences, and images with known answers."""
 
-import logging
 import math
 from dataclasses import replace
 
 import pytest
 import torch
 
-from sculpt_framework import registry
-from sculpt_framework.errors import ComponentImportError
 from sculpt_framework.rasterizers import Rasterizer
-from sculpt_plugins.rasterizers.auto.choice import choose
-from sculpt_plugins.rasterizers.auto.config import AutoRasterizerConfig
-from sculpt_plugins.rasterizers.numba.config import NumbaRasterizerConfig
-from sculpt_plugins.rasterizers.numba.rasterizer import NumbaRasterizer
 from sculpt_plugins.rasterizers.reference.config import ReferenceRasterizerConfig
-from sculpt_plugins.rasterizers.reference.rasterizer import ReferenceRasterizer
 from tests.rasterizers.splats import INPUTS, facing_splats, random_splats, rendered
 
 CPU = torch.device("cpu")
@@ -89,29 +81,3 @@ def test_no_gaussians():
     splats = facing_splats(torch.zeros(0, 3), torch.zeros(0, 3))
     output, _ = rendered(ReferenceRasterizerConfig().build(CPU), splats, torch.float64)
     assert (output.alpha == 0).all()
-
-
-def test_auto_says_what_it_took(caplog: pytest.LogCaptureFixture):
-    with caplog.at_level(logging.INFO, logger="sculpt"):
-        assert isinstance(AutoRasterizerConfig().build(CPU), NumbaRasterizer)
-        assert isinstance(AutoRasterizerConfig().build(torch.device("meta")), ReferenceRasterizer)
-    assert "rasterizer numba" in caplog.text
-    assert "rasterizer reference" in caplog.text
-
-
-def test_auto_takes_triton_on_cuda_if_there_is_one(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture):
-    cuda = torch.device("cuda")
-    monkeypatch.setattr(registry, "names", lambda slot: ("reference", "triton"))
-    config = NumbaRasterizerConfig()
-    monkeypatch.setattr(registry, "default", lambda slot, name: {"triton": config}[name])
-    assert choose(cuda) is config
-
-    def broken(slot: str, name: str):
-        if name == "triton":
-            raise ComponentImportError("no triton here")
-        return ReferenceRasterizerConfig()
-
-    monkeypatch.setattr(registry, "default", broken)
-    with caplog.at_level(logging.INFO, logger="sculpt"):
-        assert choose(cuda) == ReferenceRasterizerConfig()
-    assert "no triton here" in caplog.text

@@ -1,28 +1,33 @@
 """Which backend suits a device."""
 
 import logging
-from typing import cast
 
 import torch
 
 from sculpt_framework import registry
 from sculpt_framework.config import RasterizerConfig
-from sculpt_framework.errors import ComponentImportError
+from sculpt_framework.errors import ComponentImportError, DeviceError
+from sculpt_framework.rasterizers import Rasterizer
 
-_FASTEST = {"cpu": "numba", "cuda": "triton"}
+_FASTEST_FIRST = {"cpu": ("numba",), "cuda": ("triton", "gsplat")}
 
 
-def choose(device: torch.device) -> RasterizerConfig:
-    """numba on the CPU, triton on CUDA; the reference where these cannot be had. Logs which, and why."""
+def choose(device: torch.device) -> Rasterizer:
+    """The fastest backend that runs on the device; the reference where none does. Logs which, and why."""
     log = logging.getLogger("sculpt")
-    name = _FASTEST.get(device.type)
-    if name in registry.names("rasterizer"):
+    for name in _FASTEST_FIRST.get(device.type, ()):
         try:
-            config = cast(RasterizerConfig, registry.default("rasterizer", name))
-        except ComponentImportError as error:
+            rasterizer = _config(name).build(device)
+        except (ComponentImportError, DeviceError) as error:
             log.warning("rasterizer %s left out: %s", name, error)
         else:
-            log.info("rasterizer %s: the fastest on %s", name, device.type)
-            return config
-    log.info("rasterizer reference: nothing compiled for %s; expect it to be slow", device.type)
-    return cast(RasterizerConfig, registry.default("rasterizer", "reference"))
+            log.info("rasterizer %s: the fastest that runs on %s", name, device.type)
+            return rasterizer
+    log.warning("rasterizer reference: nothing compiled for %s; expect it to be slow", device.type)
+    return _config("reference").build(device)
+
+
+def _config(name: str) -> RasterizerConfig:
+    config = registry.default("rasterizer", name)
+    assert isinstance(config, RasterizerConfig)  # noqa: S101 - what the registry promises for the slot
+    return config

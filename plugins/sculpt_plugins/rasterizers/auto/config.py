@@ -14,7 +14,7 @@ class AutoRasterizerConfig(RasterizerConfig):
     """The fastest backend there is for the device."""
 
     def build(self, device: "torch.device") -> "Rasterizer":
-        """numba on the CPU; elsewhere triton where it can be had, else the reference. Logs which, and why."""
+        """numba on the CPU; on CUDA triton, else gsplat; the reference where none of them runs. Logs which, and why."""
         from sculpt_plugins.rasterizers.auto.choice import choose
 
-        return choose(device).build(device)
+        return choose(device)

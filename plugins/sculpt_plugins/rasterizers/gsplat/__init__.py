@@ -1,0 +1,1 @@
+"""The CUDA kernels of the package gsplat, where that is installed."""

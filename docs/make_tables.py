@@ -1,6 +1,6 @@
 """Fill in the tables of docs/choices.md from the code: ``python docs/make_tables.py``; with ``--check`` only compare.
 
-Two kinds of table. Rows that begin with an option (`` | `binder.inset` | ``) get the option's value in both methods.
+Two kinds of table. Rows that begin with an option (`` | `binder.scale` | ``) get the option's value in both methods.
 What is between ``<!-- NAME -->`` and ``<!-- end -->`` is written whole. Reasons stay as people wrote them.
 """
 

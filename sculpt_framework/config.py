@@ -173,6 +173,10 @@ class MethodConfig:
     """Seed of every random choice."""
     reference: Path | None = None
     """Mesh in world frame to measure against. Default: gt_mesh.ply in the data folder, if there is one."""
+    refine_box: tuple[tuple[float, float, float, float, float, float], ...] = ()
+    """A box in world frame in which the surface gets finer cells; for several, give the option several times."""
+    refine_box_levels: int = 1
+    """How many times cells are halved in these boxes."""
     field: FieldConfig
     extractor: ExtractorConfig
     binder: BinderConfig

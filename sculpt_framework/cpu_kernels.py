@@ -1,4 +1,4 @@
-"""What all numba kernels share: where their machine code is kept between processes, and how many threads they use."""
+"""What all numba kernels share: where their machine code is kept, the time it takes to make, the number of threads."""
 
 import hashlib
 import logging
@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numba
 import torch
+from numba.core import event as numba_event
 
 # numba makes the attributes of its config when it is loaded, which the checker does not see.
 # pyright: reportAttributeAccessIssue=false, reportPrivateImportUsage=false
@@ -35,6 +36,26 @@ def kernel_cache(name: str, sources: Path) -> Iterator[None]:
         yield
     finally:
         numba.config.CACHE_DIR = ""
+
+
+class CompileSeconds:
+    """Wall seconds that numba has spent compiling while this was entered; kernels from the cache cost none.
+
+    To be asked between kernels: one that is being compiled does not count yet.
+    """
+
+    def __init__(self) -> None:
+        self._listener = numba_event.TimingListener()
+
+    def __enter__(self) -> "CompileSeconds":
+        numba_event.register("numba:compile", self._listener)
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        numba_event.unregister("numba:compile", self._listener)
+
+    def __call__(self) -> float:
+        return self._listener.duration if self._listener.done else 0.0
 
 
 def _user_folder() -> Path:

@@ -1,13 +1,13 @@
 """Slot ``extractor``: from signed distance to a closed triangle mesh, differentiably."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from jaxtyping import Float, Int64
 from torch import Tensor
 
-from sculpt_framework.geometry.grid import Grid
+from sculpt_framework.geometry.grid import Grid, RefineBox
 from sculpt_framework.keyed import KeyedTable
 from sculpt_framework.types import Surface
 
@@ -23,7 +23,8 @@ class EmptySurfaceError(RuntimeError):
 class Extraction:
     """A surface and what regularisers need to know of how it came about.
 
-    The band is the set of grid cells the surface passes through. Its sdf values carry gradient.
+    The band is the set of grid cells the surface passes through: all of the grid's level, or, where an extractor
+    refines in boxes, of that level and finer ones. Its sdf values carry gradient.
     """
 
     surface: Surface
@@ -71,4 +72,18 @@ class Extractor(ABC):
         the sdf is raised to a small positive value, so that the surface closes inside.
 
         Raises EmptySurfaceError if no seed cell, nor any cell reached from one, changes sign.
+        """
+
+
+class RefiningExtractor(Extractor):
+    """An extractor that can work on finer cells in boxes, to the same contract.
+
+    The cells of an extraction, and its seeds, then are of the grid's level and of finer ones.
+    """
+
+    @abstractmethod
+    def set_boxes(self, boxes: Sequence[RefineBox]) -> None:
+        """From now on refine the surface in these boxes (object frame) and nowhere else.
+
+        Raises ValueError if cells that fine have no coordinates (``octree.vertex_level``), also later in ``set_grid``.
         """

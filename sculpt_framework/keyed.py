@@ -39,11 +39,20 @@ class KeyedTable:
         slot = torch.searchsorted(ordered, keys).clamp_(max=len(self) - 1)
         return order[slot], ordered[slot] == keys
 
-    def rekey(self, keys: Int64[Tensor, " m"], new_rows: Mapping[str, Float[Tensor, "m ..."]]) -> None:
+    def rekey(
+        self,
+        keys: Int64[Tensor, " m"],
+        new_rows: Mapping[str, Float[Tensor, "m ..."]],
+        heirs: tuple[Int64[Tensor, " p"], Int64[Tensor, " p"]] | None = None,
+    ) -> None:
         """Make ``keys`` the table's keys, in this order.
 
         ``new_rows`` holds a full set of rows for ``keys``; only those of keys the table did not have are used. Rows and
         optimiser state of keys that are gone are dropped.
+
+        ``heirs`` are pairs of a row of ``keys``, of a key the table does not have, and a row of the table. Such a key
+        starts not with its new row but with the mean of the rows and of the optimiser state paired with it, and with as
+        many steps as the oldest of them has.
         """
         if set(new_rows) != set(self.learning_rates):
             raise ValueError(f"rows {sorted(new_rows)} do not match parameters {sorted(self.learning_rates)}")
@@ -52,6 +61,10 @@ class KeyedTable:
         for name, fresh in new_rows.items():
             mask = known.reshape(-1, *([1] * (fresh.ndim - 1)))
             values, first, second = fresh.detach(), torch.zeros_like(fresh), torch.zeros_like(fresh)
+            if heirs is not None:
+                values = _means(values, heirs, self.leaves[name].detach())
+                first = _means(first, heirs, self._first[name])
+                second = _means(second, heirs, self._second[name])
             if had_rows:
                 values = torch.where(mask, self.leaves[name].detach()[row], values)
                 first = torch.where(mask, self._first[name][row], first)
@@ -59,6 +72,8 @@ class KeyedTable:
             self.leaves[name] = values.clone().requires_grad_(self.learning_rates[name] > 0)
             self._first[name], self._second[name] = first, second
         steps = torch.zeros(keys.shape[0], device=keys.device)
+        if heirs is not None:
+            steps.scatter_reduce_(0, heirs[0], self._steps[heirs[1]], "amax")
         self._steps = torch.where(known, self._steps[row], steps) if had_rows else steps
         self.keys = keys.clone()
 
@@ -103,3 +118,15 @@ class KeyedTable:
             self.leaves[name] = state[f"value.{name}"].clone().requires_grad_(rate > 0)
             self._first[name] = state[f"first.{name}"].clone()
             self._second[name] = state[f"second.{name}"].clone()
+
+
+def _means(
+    rows: Float[Tensor, "m ..."],
+    heirs: tuple[Int64[Tensor, " p"], Int64[Tensor, " p"]],
+    table: Float[Tensor, "n ..."],
+) -> Float[Tensor, "m ..."]:
+    """``rows``, but for those paired with rows of the table: these are the means of theirs."""
+    heir, lender = heirs
+    count = torch.bincount(heir, minlength=rows.shape[0]).reshape(-1, *([1] * (rows.ndim - 1)))
+    summed = torch.zeros_like(rows).index_add(0, heir, table.index_select(0, lender))
+    return torch.where(count > 0, summed / count.clamp(min=1), rows)

@@ -65,6 +65,8 @@ class View:
     rgb: Float[Tensor, "h w 3"]
     alpha: Float[Tensor, "h w"] | None
     """Coverage in [0, 1]; None where the data say nothing about it."""
+    source: Path | None = None
+    """The file the image was read from; None if it was not."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

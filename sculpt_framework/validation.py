@@ -18,6 +18,10 @@ def check(config: MethodConfig) -> None:
     if config.threads is not None:
         _require(config.threads >= 1, "threads", config.threads, "1 or more")
     _require(0 <= config.seed < 2**63, "seed", config.seed, "0 or more, below 2^63")
+    for low, high in ((box[:3], box[3:]) for box in config.refine_box):
+        given = " ".join(f"{number:g}" for number in (*low, *high))
+        _require(all(a < b for a, b in zip(low, high, strict=True)), "refine-box", given, "X0 < X1, Y0 < Y1, Z0 < Z1")
+    _require(1 <= config.refine_box_levels <= 6, "refine-box-levels", config.refine_box_levels, "1 to 6")
     _check_trainer(config.trainer)
     for slot in (slot for slot in SLOTS.values() if slot.many):
         names = [name_of(component) for component in getattr(config, slot.name)]

@@ -1,11 +1,12 @@
 import logging
+import time
 from pathlib import Path
 
 import numba
 import pytest
 import torch
 
-from sculpt_framework.cpu_kernels import kernel_cache, share_threads
+from sculpt_framework.cpu_kernels import CompileSeconds, kernel_cache, share_threads
 
 
 @pytest.fixture
@@ -59,3 +60,20 @@ def test_numba_follows_torch():
     assert numba.get_num_threads() == 1
     assert torch.get_num_threads() == 1
     torch.set_num_threads(threads)
+
+
+def test_compile_seconds_are_those_of_compiling_alone():
+    @numba.njit
+    def twice(x: float) -> float:
+        return 2 * x
+
+    with CompileSeconds() as seconds:
+        assert seconds() == 0
+        assert twice(1.0) == 2
+        compiled = seconds()
+        assert compiled > 0.01
+        time.sleep(0.05)
+        assert twice(3.0) == 6
+        assert seconds() == compiled
+    assert twice(1) == 2
+    assert seconds() == compiled, "what is compiled afterwards is no longer counted"

@@ -43,7 +43,7 @@ def gaussian_sculpting_paper() -> MethodConfig:
             gaussians_per_face=3,  # 3.1 "K Gaussians on each face"; the number is ours
             reference="edges",  # eq. 2: s1, s2 are half of two edges
             scale=1.0,  # eq. 2: exactly
-            inset=0.0,  # eq. 1: on the face
+            fit_outline=False,  # eq. 1: on the face
             rotation_rate=0.0,  # 3.1 the frame is the face's R_f
             opacity="fixed",  # eq. 10: "remove the gradient of opacity and fix it close to 1"
             theta=0.99,  # eq. 10 "theta -> 1"; the number is ours

@@ -42,9 +42,8 @@ def gaussian_sculpting() -> MethodConfig:
             outer_steps=240,
             base_cells=32,
             stages=(
-                StageConfig(share=0.1, time_share=0.04, level=0, image_scale=0.25, inner_steps=4, outer_views=4),
-                StageConfig(share=0.3, time_share=0.16, level=1, image_scale=0.5, inner_steps=4, outer_views=4),
-                StageConfig(share=0.6, time_share=0.8, level=2, image_scale=1.0, inner_steps=4, outer_views=4),
+                StageConfig(share=0.25, time_share=0.12, level=1, image_scale=0.5, inner_steps=4, outer_views=4),
+                StageConfig(share=0.75, time_share=0.88, level=2, image_scale=1.0, inner_steps=4, outer_views=4),
             ),
         ),
     )

@@ -50,6 +50,7 @@ BUILTIN: dict[str, dict[str, str]] = {
         "auto": "sculpt_plugins.datasets.auto.config:AutoDatasetConfig",
         "blender": "sculpt_plugins.datasets.blender.config:BlenderConfig",
         "demo": "sculpt_plugins.datasets.demo.config:DemoConfig",
+        "omniobject3d": "sculpt_plugins.datasets.omniobject3d.config:OmniObject3DConfig",
     },
     "observers": {
         "console": "sculpt_plugins.observers.console.config:ConsoleConfig",

@@ -2,14 +2,17 @@
 
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
 from sculpt_framework.cli import exit_codes
 from sculpt_framework.errors import ConfigError
+
+if TYPE_CHECKING:
+    from sculpt_framework.evaluation.geometry import MeasuredMesh
 
 Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="")]
 
@@ -30,6 +33,8 @@ class EvaluateRequest:
     """Area-uniform samples on each of the two surfaces."""
     self_intersections: Flag = False
     """Also count pairs of faces that cross each other."""
+    visible_only: Flag = False
+    """Of a run: also measure over that part of the reference alone which some train view sees."""
     json: Flag = False
     """Print JSON."""
 
@@ -44,8 +49,10 @@ def evaluate(words: Sequence[str]) -> None:
     request = tyro.cli(EvaluateRequest, args=words, prog="sculpt-eval")
     if request.samples < 1:
         raise ConfigError(f"--samples is {request.samples}; expected 1 or more.")
+    if request.visible_only and request.run_dir is None:
+        raise ConfigError("--visible-only needs the cameras of a run: sculpt-eval RUN_DIR --visible-only.")
     if request.mesh is not None and request.run_dir is None:
-        report = _of_mesh(request.mesh, request.reference, request)
+        report = _of_mesh(request.mesh, request.reference, _prepared(request.reference, request), request)
     elif request.run_dir is not None and request.mesh is None:
         report = _of_run(request.run_dir, request)
     else:
@@ -58,19 +65,26 @@ def evaluate(words: Sequence[str]) -> None:
         sys.stdout.write("\n".join(_lines(report)) + "\n")
 
 
-def _of_mesh(path: Path, reference: Path | None, request: EvaluateRequest) -> Mapping[str, Any]:
+def _prepared(reference: Path | None, request: EvaluateRequest) -> "MeasuredMesh | None":
     from sculpt_framework.errors import DataError
     from sculpt_framework.evaluation.geometry import MeasuredMesh
+    from sculpt_framework.evaluation.mesh import load_mesh
+
+    if reference is None:
+        return None
+    try:
+        return MeasuredMesh(load_mesh(reference), request.samples)
+    except ValueError as error:
+        raise DataError(f"{reference} cannot be compared with: all its faces have area 0") from error
+
+
+def _of_mesh(
+    path: Path, reference: Path | None, prepared: "MeasuredMesh | None", request: EvaluateRequest
+) -> dict[str, Any]:
     from sculpt_framework.evaluation.mesh import load_mesh
     from sculpt_framework.evaluation.mesh_report import mesh_report
 
     mesh = load_mesh(path)
-    prepared = None
-    if reference is not None:
-        try:
-            prepared = MeasuredMesh(load_mesh(reference), request.samples)
-        except ValueError as error:
-            raise DataError(f"{reference} cannot be compared with: all its faces have area 0") from error
     measures = mesh_report(mesh, prepared, samples=request.samples, self_intersections=request.self_intersections)
     return {
         "schema": 1,
@@ -85,11 +99,17 @@ def _of_run(run_dir: Path, request: EvaluateRequest) -> Mapping[str, Any]:
 
     finished = load_finished(run_dir)
     reference = request.reference or finished.config.reference or finished.scene.reference_mesh
-    return {
-        **_of_mesh(run_dir / "mesh.ply", reference, request),
-        "test_views": len(finished.scene.test),
-        "images": finished.test_measures(),
-    }
+    prepared = _prepared(reference, request)
+    if request.visible_only and prepared is None:
+        raise ConfigError("--visible-only needs a reference mesh, and the run has none; give --reference FILE.")
+    report = _of_mesh(run_dir / "mesh.ply", reference, prepared, request)
+    if request.visible_only and prepared is not None:
+        from sculpt_framework.evaluation.mesh import load_mesh
+        from sculpt_framework.evaluation.visibility import seen_by_any, visible_distances
+
+        seen = seen_by_any(prepared, [view.camera for view in finished.scene.train])
+        report["visible"] = asdict(visible_distances(load_mesh(run_dir / "mesh.ply"), prepared, seen))
+    return {**report, "test_views": len(finished.scene.test), "images": finished.test_measures()}
 
 
 def _lines(report: Mapping[str, Any]) -> list[str]:

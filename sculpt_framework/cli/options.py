@@ -19,8 +19,16 @@ from sculpt_framework.registry import SLOTS, Slot
 
 NONE = "none"
 VIEWER = "viser"
-RUN_OPTIONS = ("data", "output", "max_time", "device", "threads", "seed", "reference")
-METAVARS = {"data": "DIR|demo|demo:NAME", "output": "DIR", "max_time": "SECONDS", "threads": "N", "reference": "FILE"}
+REFINE_BOX = "refine_box"
+RUN_OPTIONS = ("data", "output", "max_time", "device", "threads", "seed", "reference", REFINE_BOX, "refine_box_levels")
+METAVARS = {
+    "data": "DIR|demo|demo:NAME",
+    "output": "DIR",
+    "max_time": "SECONDS",
+    "threads": "N",
+    "reference": "FILE",
+    REFINE_BOX: "X0 Y0 Z0 X1 Y1 Z1",
+}
 
 
 def apply_words(config: MethodConfig, words: Sequence[str], program: str, description: str) -> MethodConfig:
@@ -156,6 +164,9 @@ def _general_option(name: str, kind: Any) -> Any:
     """``kind`` with how the option shows in the help: what None means is in the text, so it is not shown."""
     if name == "data":
         return Annotated[kind, tyro.conf.arg(metavar=METAVARS[name], help_behavior_hint="(required)")]
+    if name == REFINE_BOX:
+        option = tyro.conf.arg(metavar=METAVARS[name], help_behavior_hint="")
+        return Annotated[kind, tyro.conf.UseAppendAction, option]
     if name in METAVARS:
         return Annotated[kind, tyro.conf.arg(metavar=METAVARS[name], help_behavior_hint="")]
     return kind

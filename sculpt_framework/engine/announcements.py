@@ -6,17 +6,25 @@ from typing import Any
 
 from sculpt_framework.config import MethodConfig, StageConfig
 from sculpt_framework.engine.assembly import Parts
+from sculpt_framework.engine.inputs import input_digests
 from sculpt_framework.engine.measuring import resident_megabytes
-from sculpt_framework.engine.trainer import StepReport
+from sculpt_framework.engine.trainer import BiLevelTrainer, StepReport
 from sculpt_framework.evaluation.certificate import certify
 from sculpt_framework.evaluation.mesh import Mesh
 from sculpt_framework.geometry.grid import Grid
-from sculpt_framework.types import Scene
+from sculpt_framework.types import Scene, Surface
 
 
 def run_started(
-    config: MethodConfig, scene: Scene, parts: Parts, *, views: int, held_out: int, total_steps: int | None
+    config: MethodConfig,
+    scene: Scene,
+    parts: Parts,
+    *,
+    views: int,
+    held_out: int,
+    total_steps: int | None,
 ) -> dict[str, Any]:
+    reference = config.reference or scene.reference_mesh
     return {
         "method": config.method,
         "scene": scene.name,
@@ -29,6 +37,8 @@ def run_started(
         "device": str(parts.device),
         "rasterizer": type(parts.rasterizer).__name__,
         "seed": config.seed,
+        "reference": None if reference is None else str(reference.absolute()),
+        "inputs": input_digests(scene, reference),
     }
 
 
@@ -42,6 +52,18 @@ def stage_entered(index: int, stages: Sequence[StageConfig], grid: Grid) -> dict
         "image_scale": stage.image_scale,
         "inner_steps": stage.inner_steps,
         "silhouette_only": stage.silhouette_only,
+    }
+
+
+def sizes(trainer: BiLevelTrainer, surface: Surface) -> dict[str, Any]:
+    """How much there is of everything, for a row of the curve."""
+    faces = surface.faces.shape[0]
+    return {
+        "inner": trainer.inner_total,
+        "faces": faces,
+        "gaussians": faces * trainer.scene.binder.gaussians_per_face,
+        "grid": max(trainer.extractor.grid.shape),
+        "rss_mb": resident_megabytes(),
     }
 
 
@@ -66,6 +88,6 @@ def run_ended(
         "status": status,
         "failure": failure,
         "final": dict(final),
-        "certificate": asdict(certify(mesh.vertices, mesh.faces)),
+        "certificate": asdict(certify(mesh.vertices, mesh.faces, self_intersections=True)),
         "milestones": list(milestones),
     }

@@ -9,7 +9,9 @@ from sculpt_framework.config import MethodConfig
 from sculpt_framework.engine.gaussian_scene import GaussianScene
 from sculpt_framework.engine.trainer import BiLevelTrainer, Objectives, Weighted
 from sculpt_framework.errors import ConfigError, DeviceError
-from sculpt_framework.geometry.grid import Grid, grid_over_box
+from sculpt_framework.extractors import Extractor, RefiningExtractor
+from sculpt_framework.geometry.grid import Grid, RefineBox, grid_over_box
+from sculpt_framework.geometry.octree_policy import wanted_levels
 from sculpt_framework.losses import GeometryLoss, ImageLoss
 from sculpt_framework.rasterizers import Rasterizer
 from sculpt_framework.registry import name_of
@@ -25,6 +27,8 @@ class Parts:
     device: torch.device
     grid: Grid
     """At level 0; stages say which level they work on."""
+    refinement: int
+    """How many of the smallest cells of a box that is refined a cell of the grid is wide; 1 without boxes."""
     rasterizer: Rasterizer
     trainer: BiLevelTrainer
 
@@ -51,10 +55,11 @@ def build_parts(config: MethodConfig, box: Box, generator: torch.Generator) -> P
     return Parts(
         device=device,
         grid=grid,
+        refinement=1 << config.refine_box_levels if config.refine_box else 1,
         rasterizer=rasterizer,
         trainer=BiLevelTrainer(
             field=field,
-            extractor=config.extractor.build(grid.at_level(trainer.stages[0].level), device),
+            extractor=build_extractor(config, box, grid, device),
             scene=scene,
             rasterizer=rasterizer,
             objectives=build_objectives(config),
@@ -62,6 +67,38 @@ def build_parts(config: MethodConfig, box: Box, generator: torch.Generator) -> P
             generator=generator,
         ),
     )
+
+
+def build_extractor(config: MethodConfig, box: Box, grid: Grid, device: torch.device) -> Extractor:
+    """The extractor on the first stage's level, with the boxes it refines in.
+
+    Raises ConfigError for boxes it cannot refine in, that miss the object's box, or whose cells would be too small.
+    """
+    stages = config.trainer.stages
+    extractor = config.extractor.build(grid.at_level(stages[0].level), device)
+    if not config.refine_box:
+        return extractor
+    if not isinstance(extractor, RefiningExtractor):
+        name = name_of(config.extractor)
+        raise ConfigError(f"--refine-box: extractor {name!r} has cells of one size only; choose another")
+    boxes = []
+    for given in config.refine_box:
+        low, high = torch.tensor(given[:3]), torch.tensor(given[3:])
+        if bool((low >= box.maximum).any() | (high <= box.minimum).any()):
+            corners = [f"{number:.4g}" for number in (*box.minimum.tolist(), *box.maximum.tolist())]
+            raise ConfigError(
+                f"--refine-box {' '.join(f'{number:g}' for number in given)} lies outside the object's box, "
+                f"which is {' '.join(corners)}"
+            )
+        x, y, z = box.to_object(torch.stack([low, high])).double().T.tolist()
+        low_corner, high_corner = (x[0], y[0], z[0]), (x[1], y[1], z[1])
+        boxes.append(RefineBox(minimum=low_corner, maximum=high_corner, levels=config.refine_box_levels))
+    try:
+        wanted_levels(grid.at_level(max(stage.level for stage in stages)), boxes)
+    except ValueError as error:
+        raise ConfigError(f"--refine-box-levels {config.refine_box_levels} is too many here: {error}") from error
+    extractor.set_boxes(boxes)
+    return extractor
 
 
 def build_objectives(config: MethodConfig) -> Objectives:

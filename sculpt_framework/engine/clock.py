@@ -2,7 +2,7 @@
 
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 
@@ -19,21 +19,32 @@ def process_start() -> float:
 
 
 class TrainingClock:
-    """Counts training seconds while running; ``pause`` leaves a stretch out. Wall seconds count from ``started``."""
+    """Counts training seconds while running; ``pause`` leaves a stretch out. Wall seconds count from ``started``.
 
-    def __init__(self, started: float, trained: float = 0.0):
+    ``idle`` tells the seconds so far of what happens in the midst of training and is none, such as compiling; what it
+    grows by while the clock runs is left out too.
+    """
+
+    def __init__(self, started: float, trained: float = 0.0, idle: Callable[[], float] = lambda: 0.0):
         self._started = started
         self._trained = trained
+        self._idle = idle
         self._since: float | None = None
 
     def start(self) -> None:
         if self._since is None:
-            self._since = time.monotonic()
+            self._since = self.now
 
     def stop(self) -> None:
         if self._since is not None:
-            self._trained += time.monotonic() - self._since
+            self._trained += self.now - self._since
             self._since = None
+
+    def go_on_from(self, trained: float) -> None:
+        """Count from now on, after ``trained`` seconds of training in an earlier process; wall seconds stay."""
+        self.stop()
+        self._trained = trained
+        self.start()
 
     @contextmanager
     def pause(self) -> Iterator[None]:
@@ -47,7 +58,7 @@ class TrainingClock:
 
     @property
     def train_seconds(self) -> float:
-        return self._trained + (0.0 if self._since is None else time.monotonic() - self._since)
+        return self._trained + (0.0 if self._since is None else self.now - self._since)
 
     @property
     def wall_seconds(self) -> float:
@@ -56,3 +67,8 @@ class TrainingClock:
     @property
     def cpu_seconds(self) -> float:
         return time.process_time()
+
+    @property
+    def now(self) -> float:
+        """Seconds from some instant; stands still while the process is idle."""
+        return time.monotonic() - self._idle()

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from sculpt_framework.appearances import Appearance, bands
 from sculpt_framework.binders import Binder, Binding, owning_faces
+from sculpt_framework.geometry.band import levels_of
 from sculpt_framework.geometry.grid import unpack_ijk
 from sculpt_framework.keyed import KeyedTable
 from sculpt_framework.types import Gaussians, Surface
@@ -129,8 +130,7 @@ def _nearest_faces(
     distances = torch.stack([(old_centroids[c] - centroids).square().sum(dim=1) for c in candidates])
     lender = torch.where(distances[0] <= distances[1], candidates[0], candidates[1])
     apart = (unpack_ijk(old_keys[lender]) - unpack_ijk(keys)).abs().amax(dim=1) > 1
-    same_level = ordered[0] >> 55 == keys[0] >> 55
-    far = apart if bool(same_level) else torch.ones_like(apart)
+    far = apart | (levels_of(old_keys[lender]) != levels_of(keys))
     if bool(far.any()):
         _, found = KDTree(old_centroids.cpu().numpy()).query(centroids[far].cpu().numpy())
         lender[far] = torch.from_numpy(found).to(lender)

@@ -1,20 +1,14 @@
-"""What a run measures of itself: held-out views while it trains, the reference mesh if there is one."""
+"""What a run measures of itself: held-out views, and the memory it takes."""
 
-import math
 import resource
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict
-from typing import Any
 
 import numpy as np
 import torch
 
 from sculpt_framework.engine.images import TrainingImage
-from sculpt_framework.evaluation.geometry import MeasuredMesh, chamfer
 from sculpt_framework.evaluation.images import mask_iou, psnr, ssim
-from sculpt_framework.evaluation.mesh import Mesh
-from sculpt_framework.evaluation.triangle_quality import triangle_quality
 from sculpt_framework.rasterizers import Rasterizer
 from sculpt_framework.types import Gaussians
 
@@ -34,31 +28,6 @@ def image_measures(
         if target.alpha is not None:
             scores["iou"].append(mask_iou(rendering.alpha, target.alpha))
     return {name: float(np.mean(values)) if values else None for name, values in scores.items()}
-
-
-def mesh_measures(mesh: Mesh, reference: MeasuredMesh | None, samples: int) -> dict[str, float | None]:
-    """Curve columns that the mesh alone, or with the reference, gives. Lengths in world units."""
-    out: dict[str, float | None] = dict.fromkeys(("chamfer_ps", "fscore", "normal_consistency", "under10_pct"))
-    if len(mesh.faces) == 0:
-        return out
-    out["under10_pct"] = triangle_quality(mesh).under10_pct
-    if reference is not None:
-        result = chamfer(mesh, reference, samples=samples, point_to_point=False)
-        if math.isfinite(result.point_to_surface):
-            out["chamfer_ps"] = result.point_to_surface
-            out["fscore"] = result.fscore
-            out["normal_consistency"] = result.normal_consistency
-    return out
-
-
-def result_measures(mesh: Mesh, reference: Mesh) -> dict[str, Any]:
-    """All that is measured of a result: the curve's columns, and each variant of the distance by its own name."""
-    out: dict[str, Any] = mesh_measures(mesh, None, 0)
-    if len(mesh.faces) > 0:
-        distances = chamfer(mesh, reference)
-        out |= asdict(distances)
-        out |= {"chamfer_ps": distances.point_to_surface, "fscore": distances.fscore}
-    return out
 
 
 def resident_megabytes() -> float:

@@ -6,14 +6,18 @@ from typing import Any, Literal
 _SHARES = (0.25, 0.5, 0.75, 0.9)
 """Shares of the run at which a measurement is owed, whatever it costs; its end is measured anyway."""
 _COST_AT_MOST = 0.08
-"""Of training time, for the measurements in between."""
+"""Of training time so far, for the measurements in between."""
+_COST_AHEAD = 0.03
+"""Of the time a run is given, which they may take before so much was trained: the first seconds tell most."""
 
 
 class Milestones:
     """Rows of the error-against-time curve: at geometric times (1, 2, 4, ... s) and at fixed shares of the run."""
 
-    def __init__(self, rows: Sequence[dict[str, Any]] = ()):
+    def __init__(self, rows: Sequence[dict[str, Any]] = (), given: float | None = None):
+        """``given`` is how long the run may take, in seconds, if that is known."""
         self.rows: list[dict[str, Any]] = list(rows)
+        self._ahead = _COST_AHEAD * (given or 0.0)
         self._next_second = 1.0
 
     def due(self, progress: float, trained: float, spent: float) -> Literal["share", "time"] | None:
@@ -28,7 +32,7 @@ class Milestones:
             return None
         while self._next_second <= trained:
             self._next_second *= 2
-        return "time" if spent <= _COST_AT_MOST * trained else None
+        return "time" if spent <= max(_COST_AT_MOST * trained, self._ahead) else None
 
     def add(self, progress: float, row: dict[str, Any]) -> None:
         self.rows.append({**row, "progress": progress})

@@ -9,21 +9,23 @@ import torch
 from torch import Tensor
 
 from sculpt_framework.config import MethodConfig, StageConfig
+from sculpt_framework.cpu_kernels import CompileSeconds
 from sculpt_framework.engine import announcements
 from sculpt_framework.engine.assembly import build_parts, split_views
 from sculpt_framework.engine.clock import TrainingClock, process_start
 from sculpt_framework.engine.events import Event, EventName
 from sculpt_framework.engine.images import TrainingImage, in_object_frame, pixel_footprint, prepare_image
 from sculpt_framework.engine.initial_fit import fit_field
-from sculpt_framework.engine.measuring import image_measures, mesh_measures, resident_megabytes, result_measures
+from sculpt_framework.engine.measuring import image_measures, resident_megabytes
 from sculpt_framework.engine.milestones import Milestones
 from sculpt_framework.engine.reconstruction import Reconstruction, object_gaussians, reconstruct, world_mesh
 from sculpt_framework.engine.schedule import Schedule
 from sculpt_framework.engine.state import Progress, capture, restore, split_best, undisturbed, with_best
-from sculpt_framework.engine.view_pictures import view_pictures
+from sculpt_framework.engine.view_pictures import Album
 from sculpt_framework.errors import CheckpointError, TrainingFailed
 from sculpt_framework.evaluation.geometry import MeasuredMesh
 from sculpt_framework.evaluation.mesh import load_mesh
+from sculpt_framework.evaluation.mesh_report import mesh_measures, result_measures
 from sculpt_framework.evaluation.pictures import Picture
 from sculpt_framework.extractors import EmptySurfaceError
 from sculpt_framework.geometry.band import cells_at_level, discover
@@ -62,7 +64,8 @@ class Pipeline:
     ):
         self.config = config
         self.scene = scene if scene is not None else config.dataset.build(config.data).load()
-        self.clock = TrainingClock(started if started is not None else process_start())
+        self._compiling = CompileSeconds()
+        self.clock = TrainingClock(started if started is not None else process_start(), idle=self._compiling)
         self.outer = 0
         self._emit_event = emit
         self._should_stop = should_stop
@@ -77,7 +80,9 @@ class Pipeline:
         self._held_out = [self._whole_image(self.scene.train[index]) for index in held_out[:_HELD_OUT_AT_MOST]]
         reference = config.reference or self.scene.reference_mesh
         self._reference = None if reference is None else MeasuredMesh(load_mesh(reference), _CURVE_SAMPLES)
-        self._milestones = Milestones()
+        shown = self._held_out[0] if self._held_out else self._whole_image(self._views[0])
+        self._album = Album(self._parts.rasterizer, shown, self.scene.box, self._reference, config.trainer.low_pass_px2)
+        self._milestones = Milestones(given=config.max_time)
         self._stage_index = -1
         self._images: list[TrainingImage] = []
         self.failure: str | None = None
@@ -101,6 +106,10 @@ class Pipeline:
         Raises DataError if no start can be made from the data, and TrainingFailed if there never was a surface.
         """
         self._announce()
+        with self._compiling:
+            return self._train(resume)
+
+    def _train(self, resume: tuple[Mapping[str, Tensor], Progress] | None) -> Reconstruction:
         self.clock.start()
         self._schedule.begin()
         if resume is None:
@@ -134,7 +143,7 @@ class Pipeline:
         while self.config.trainer.base_cells << (level + 1) <= _INITIAL_CELLS:
             level += 1
         # Only the levels of detail that the first stage uses: finer ones would wake up later with stale detail.
-        self._trainer.field.set_detail(self._parts.grid.at_level(self.config.trainer.stages[0].level).cell)
+        self._trainer.field.set_detail(self._trainer.extractor.grid.cell / self._parts.refinement)
         error = fit_field(
             self._trainer.field,
             target,
@@ -166,6 +175,9 @@ class Pipeline:
             self._discover()
         self._announce_stage(index)
         self._evaluate("stage", progress)
+        if self.outer == 0:
+            with self.clock.pause(), undisturbed(self._trainer):
+                self._album.begin(self._trainer.scene, self._follow_surface())
         self._keep_good()
         return stage
 
@@ -183,7 +195,7 @@ class Pipeline:
         if grid == old:
             return
         trainer.extractor.set_grid(grid)
-        trainer.field.set_detail(grid.cell)
+        trainer.field.set_detail(grid.cell / self._parts.refinement)
         if trainer.seeds is not None:
             # The surface's cells on the old level hold those on the new one, and the extraction follows it from there.
             trainer.seeds = cells_at_level(trainer.seeds, grid.level - old.level)
@@ -215,7 +227,7 @@ class Pipeline:
         index = int(state["stage"])
         grid = self._parts.grid.at_level(self.config.trainer.stages[index].level)
         self._trainer.extractor.set_grid(grid)
-        self._trainer.field.set_detail(grid.cell)
+        self._trainer.field.set_detail(grid.cell / self._parts.refinement)
         restore(self._trainer, self._generator, state)
         self._stage_index = index
 
@@ -274,21 +286,18 @@ class Pipeline:
 
     def _evaluate(self, reason: str, progress: float) -> None:
         """Measure the current surface on held-out views and against the reference; the clock stands still meanwhile."""
-        began = time.monotonic()
+        began = self.clock.now
         with self.clock.pause(), torch.no_grad(), undisturbed(self._trainer):
             scene, surface = self._trainer.scene, self._result or self._follow_surface()
             row: dict[str, Any] = {"reason": reason, "progress": progress}
-            row |= {"inner": self._trainer.inner_total, "faces": surface.faces.shape[0]}
-            row |= {"gaussians": surface.faces.shape[0] * scene.binder.gaussians_per_face}
-            row |= {"grid": max(self._trainer.extractor.grid.shape), "rss_mb": resident_megabytes()}
-            row |= {"t_cpu_s": self.clock.cpu_seconds}
+            row |= announcements.sizes(self._trainer, surface) | {"t_cpu_s": self.clock.cpu_seconds}
             gaussians, low_pass = object_gaussians(scene, surface), self.config.trainer.low_pass_px2
             row |= image_measures(self._parts.rasterizer, gaussians, self._held_out, low_pass)
             if row["psnr"] is not None and not math.isfinite(row["psnr"]):
                 raise FloatingPointError("the rendering of a held-out view is not finite")
             row |= mesh_measures(world_mesh(surface, self.scene.box)[0], self._reference, _CURVE_SAMPLES)
         self._milestones.add(progress, row)
-        self._evaluation_seconds += time.monotonic() - began
+        self._evaluation_seconds += self.clock.now - began
         self._emit("evaluation", row)
         self._keep_best(reason, row["psnr"])
 
@@ -307,18 +316,15 @@ class Pipeline:
         """Measure the result and tell that the run is over and where its files are; the last event but for warnings."""
         self._evaluate("result", self._schedule.progress(self.outer))
         final, mesh = dict(self._milestones.rows[-1]), result.mesh
-        if self._reference is not None:
-            final |= result_measures(mesh, self._reference.mesh)
+        final |= result_measures(mesh, None if self._reference is None else self._reference.mesh)
         final |= {"faces": len(mesh.faces), "gaussians": len(result.gaussians), "rss_mb": resident_megabytes()}
         shares = self._milestones.shares()
         data = announcements.run_ended(mesh, status=self._status, failure=self.failure, final=final, milestones=shares)
         self._emit("run_ended", {**data, **files, "seconds": self.clock.wall_seconds})
 
-    def pictures(self) -> dict[str, Picture]:
-        """A held-out view, or a train view if none is, beside what the current Gaussians make of it."""
-        image = self._held_out[0] if self._held_out else self._whole_image(self._views[0])
-        gaussians = object_gaussians(self._trainer.scene, self._result or self._follow_surface())
-        return view_pictures(self._parts.rasterizer, gaussians, image, self.config.trainer.low_pass_px2)
+    def pictures(self) -> dict[str, dict[str, Picture]]:
+        """A held-out view, or a train view if none is, beside what the run makes of it, and made of it at its start."""
+        return self._album.pages(self._trainer.scene, self._result or self._follow_surface())
 
     def warn(self, message: str) -> None:
         """Tell of something that went wrong but ends nothing."""
@@ -379,7 +385,7 @@ class Pipeline:
     def _resume(self, state: Mapping[str, Tensor], progress: Progress) -> None:
         self.outer = progress.outer
         self._rate_scale, self._recoveries = progress.rate_scale, progress.recoveries
-        self._milestones = Milestones(progress.milestones)
+        self._milestones = Milestones(progress.milestones, self.config.max_time)
         self._schedule.begin(progress.progress)
         latest, best = split_best(state)
         try:
@@ -388,11 +394,8 @@ class Pipeline:
             raise CheckpointError(f"the checkpoint does not fit the run's config.json ({error})") from error
         if progress.best_psnr is not None:
             self._best = (progress.best_psnr, best)
-        stage = self.config.trainer.stages[self._stage_index]
-        self._load_images(stage)
-        self.clock.stop()
-        self.clock = TrainingClock(time.monotonic() - self.clock.wall_seconds, progress.trained_seconds)
-        self.clock.start()
+        self._load_images(self.config.trainer.stages[self._stage_index])
+        self.clock.go_on_from(progress.trained_seconds)
         self._emit("action", {"message": f"going on after outer step {self.outer}"})
         self._announce_stage(self._stage_index)
         self._keep_good()

@@ -1,26 +1,34 @@
-"""Charts as SVG text: lines over time and histograms. Pure functions; nothing is loaded from elsewhere."""
+"""Charts: lines over time and histograms, as drawings and as SVG text. Pure functions; nothing is loaded."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
+from typing import Literal
 
+from sculpt_framework.evaluation.drawing import Bar, Dot, Drawing, Line, Path, Shape, Words, moved, text_width, to_svg
 from sculpt_framework.evaluation.triangle_quality import Histogram
 
 WIDTH, HEIGHT = 460.0, 290.0
 _LEFT, _RIGHT, _TOP, _BOTTOM = 68.0, 14.0, 58.0, 48.0
-_COLORS = ("#1f6fb4", "#c8553d", "#3a8f5c", "#8a5fb0")
-"""Told apart in the common kinds of colour blindness, and dark enough on white."""
-_INK, _MUTED, _GRID = "#222", "#666", "#e4e4e4"
-_FONT = "system-ui, sans-serif"
+_TOP_ALONE = 36.0
+"""Under the title, where no legend comes between."""
+COLORS = ("#1f6fb4", "#c8553d", "#3a8f5c", "#8a5fb0", "#b8860b", "#c2528b", "#2a9d9d", "#555555")
+"""Told apart in the common kinds of colour blindness, as far as eight can be, and dark enough on white."""
+_INK, _MUTED, _GRID = "#222222", "#666666", "#e4e4e4"
+_LEGEND_ROW = 18.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Series:
-    """A named line; points are (x, y) in the order of x."""
+    """A named line; points are (x, y) in the order of x. Series of one name share a colour and a place in the legend.
+
+    "line" has a dot per point; "median" is as thick, without dots; "member" is thin and pale; "mark" is one large dot;
+    "cross" is one diagonal cross; "level" is a dashed line across the whole chart at the first point's y.
+    """
 
     name: str
     points: Sequence[tuple[float, float]]
+    style: Literal["line", "median", "member", "mark", "cross", "level"] = "line"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,28 +59,62 @@ class _Scale:
 
 
 def line_chart(title: str, series: Sequence[Series], x: Axis, y: Axis) -> str:
-    """An SVG element with a line and its points per series, and a legend where there is more than one.
+    """``line_drawing`` as an SVG element."""
+    return to_svg(line_drawing(title, series, x, y, colors=series_colors(series), legend=True))
+
+
+def line_drawing(
+    title: str, series: Sequence[Series], x: Axis, y: Axis, *, colors: Mapping[str, str], legend: bool
+) -> Drawing:
+    """Every series in its name's colour, and where asked a legend if there is more than one name.
 
     Points that a logarithmic axis cannot show are left out. Raises ValueError if nothing is left to show.
     """
-    shown = [Series(name=line.name, points=_showable(line.points, x, y)) for line in series]
+    shown = [Series(name=line.name, points=_showable(line.points, x, y), style=line.style) for line in series]
     shown = [line for line in shown if line.points]
     if not shown:
         raise ValueError(f"chart {title!r} has no points")
-    across = _scale([point[0] for line in shown for point in line.points], x, _LEFT, WIDTH - _RIGHT)
-    up = _scale([point[1] for line in shown for point in line.points], y, HEIGHT - _BOTTOM, _TOP)
-    parts = _frame(title, across, up, x, y)
-    if len(shown) > 1:
-        parts += _legend([line.name for line in shown])
-    for line, color in zip(shown, _COLORS, strict=False):
-        path = " ".join(f"{across(px):.1f},{up(py):.1f}" for px, py in line.points)
-        parts.append(f'<polyline points="{path}" fill="none" stroke="{color}" stroke-width="2"/>')
-        parts += [
-            f'<circle cx="{across(px):.1f}" cy="{up(py):.1f}" r="3" fill="{color}">'
-            f"<title>{escape(line.name)} {number(py)} at {number(px)}</title></circle>"
-            for px, py in line.points
-        ]
-    return _svg(title, parts)
+    names = list(dict.fromkeys(line.name for line in shown))
+    rows = _legend_rows(names, WIDTH - _LEFT - _RIGHT) if legend and len(names) > 1 else []
+    top = _TOP + _LEGEND_ROW * max(0, len(rows) - 1) if rows or legend else _TOP_ALONE
+    height = HEIGHT + top - _TOP
+    # A level goes all the way across, wherever its point is.
+    across = _scale(
+        [point[0] for line in shown for point in line.points if line.style != "level"] or [1.0],
+        x,
+        _LEFT,
+        WIDTH - _RIGHT,
+    )
+    up = _scale([point[1] for line in shown for point in line.points], y, height - _BOTTOM, top)
+    shapes = _frame(title, across, up, x, y)
+    shapes += _legend(rows, colors, _LEFT, 39.0)
+    # What says most is drawn last.
+    order = ("member", "level", "line", "median", "cross", "mark")
+    for line in sorted(shown, key=lambda line: order.index(line.style)):
+        shapes += _drawn(line, colors[line.name], across, up)
+    return Drawing(title=title, width=WIDTH, height=height, shapes=shapes)
+
+
+def series_colors(series: Sequence[Series]) -> Mapping[str, str]:
+    """A colour per name, in the order of the names; from the ninth on colours come again."""
+    names = dict.fromkeys(line.name for line in series)
+    return {name: COLORS[index % len(COLORS)] for index, name in enumerate(names)}
+
+
+def sheet(title: str, panels: Sequence[Drawing], colors: Mapping[str, str], *, columns: int) -> Drawing:
+    """Drawings of one width beside and below each other, under one title and one legend for all."""
+    columns = min(columns, len(panels))
+    width = columns * WIDTH
+    rows = _legend_rows(list(colors), width - _LEFT - _RIGHT)
+    shapes: list[Shape] = [Words(place=(_LEFT, 24.0), text=title, color=_INK, size=17, bold=True)]
+    shapes += _legend(rows, colors, _LEFT, 48.0)
+    down = 48.0 + _LEGEND_ROW * max(0, len(rows) - 1) + 8.0
+    for first in range(0, len(panels), columns):
+        row = panels[first : first + columns]
+        for index, panel in enumerate(row):
+            shapes += [moved(shape, index * WIDTH, down) for shape in panel.shapes]
+        down += max(panel.height for panel in row)
+    return Drawing(title=title, width=width, height=down, shapes=shapes)
 
 
 def histogram_chart(title: str, histogram: Histogram, x: Axis, y: Axis) -> str:
@@ -81,14 +123,12 @@ def histogram_chart(title: str, histogram: Histogram, x: Axis, y: Axis) -> str:
     edges = histogram.edges.tolist()
     across = _Scale(low=edges[0], high=edges[-1], start=_LEFT, end=WIDTH - _RIGHT, log=False)
     up = _Scale(low=0.0, high=max(*shares, 1.0) * 1.05, start=HEIGHT - _BOTTOM, end=_TOP, log=False)
-    parts = _frame(title, across, up, x, y)
+    shapes = _frame(title, across, up, x, y)
     for share, low, high in zip(shares, edges[:-1], edges[1:], strict=True):
         left, right, top = across(low) + 0.5, across(high) - 0.5, up(share)
-        parts.append(
-            f'<rect x="{left:.1f}" y="{top:.1f}" width="{right - left:.1f}" height="{up(0.0) - top:.1f}"'
-            f' fill="{_COLORS[0]}"><title>{number(low)} to {number(high)}: {share:.2f} %</title></rect>'
-        )
-    return _svg(title, parts)
+        note = f"{number(low)} to {number(high)}: {share:.2f} %"
+        shapes.append(Bar(corner=(left, top), width=right - left, height=up(0.0) - top, color=COLORS[0], note=note))
+    return to_svg(Drawing(title=title, width=WIDTH, height=HEIGHT, shapes=shapes))
 
 
 def linear_ticks(low: float, high: float) -> list[float]:
@@ -134,48 +174,77 @@ def _scale(values: Sequence[float], axis: Axis, start: float, end: float) -> _Sc
     return _Scale(low=low - air, high=high + air, start=start, end=end, log=False)
 
 
-def _frame(title: str, across: _Scale, up: _Scale, x: Axis, y: Axis) -> list[str]:
+def _drawn(line: Series, color: str, across: _Scale, up: _Scale) -> list[Shape]:
+    places = [(across(px), up(py)) for px, py in line.points] if line.style != "level" else []
+    notes = [f"{line.name} {number(py)} at {number(px)}" for px, py in line.points]
+    match line.style:
+        case "line":
+            dots = [Dot(center=at, radius=3.0, color=color, note=note) for at, note in zip(places, notes, strict=True)]
+            return [Path(points=places, color=color), *dots]
+        case "median":
+            return [Path(points=places, color=color, width=2.6)]
+        case "member":
+            return [Path(points=places, color=_pale(color), width=1.0)]
+        case "mark":
+            return [Dot(center=at, radius=4.5, color=color, note=note) for at, note in zip(places, notes, strict=True)]
+        case "cross":
+            arms = [((x - 4, y + s * 4), (x + 4, y - s * 4)) for x, y in places for s in (1, -1)]
+            return [Line(start=start, end=end, color=color, width=2.0) for start, end in arms]
+        case "level":
+            height = up(line.points[0][1])
+            return [Line(start=(across.start, height), end=(across.end, height), color=color, width=1.6, dash=5.0)]
+
+
+def _pale(color: str) -> str:
+    """Mixed with white, as lines behind a thicker one."""
+    channels = [int(color[start : start + 2], 16) for start in (1, 3, 5)]
+    return "#" + "".join(f"{round(255 - 0.5 * (255 - channel)):02x}" for channel in channels)
+
+
+def _frame(title: str, across: _Scale, up: _Scale, x: Axis, y: Axis) -> list[Shape]:
     """Title, grid lines, tick labels and axis labels."""
-    bottom, right = HEIGHT - _BOTTOM, WIDTH - _RIGHT
-    parts = [_text(_LEFT, 20.0, title, size=15, weight="600")]
+    left, right, bottom, top = across.start, across.end, up.start, up.end
+    shapes: list[Shape] = [Words(place=(left, 20.0), text=title, color=_INK, size=15, bold=True)]
     for tick in across.ticks():
-        parts.append(_line(across(tick), _TOP, across(tick), bottom, _GRID))
-        parts.append(_text(across(tick), bottom + 17, number(tick), anchor="middle", color=_MUTED))
+        at = across(tick)
+        shapes.append(Line(start=(at, top), end=(at, bottom), color=_GRID))
+        shapes.append(Words(place=(at, bottom + 17), text=number(tick), color=_MUTED, anchor="middle"))
     for tick in up.ticks():
-        parts.append(_line(_LEFT, up(tick), right, up(tick), _GRID))
-        parts.append(_text(_LEFT - 7, up(tick) + 4, number(tick), anchor="end", color=_MUTED))
-    parts.append(_line(_LEFT, bottom, right, bottom, _MUTED))
-    parts.append(_text((_LEFT + right) / 2, HEIGHT - 8.0, x.label, anchor="middle"))
-    middle = (_TOP + bottom) / 2
-    label = _text(0.0, 0.0, y.label, anchor="middle")
-    return [*parts, f'<g transform="translate(13 {middle:.0f}) rotate(-90)">{label}</g>']
+        at = up(tick)
+        shapes.append(Line(start=(left, at), end=(right, at), color=_GRID))
+        shapes.append(Words(place=(left - 7, at + 4), text=number(tick), color=_MUTED, anchor="end"))
+    shapes.append(Line(start=(left, bottom), end=(right, bottom), color=_MUTED))
+    middle, below = (left + right) / 2, bottom + _BOTTOM - 8
+    shapes.append(Words(place=(middle, below), text=x.label, color=_INK, anchor="middle"))
+    place = (13.0, (top + bottom) / 2)
+    shapes.append(Words(place=place, text=y.label, color=_INK, anchor="middle", upwards=True))
+    return shapes
 
 
-def _legend(names: Sequence[str]) -> list[str]:
-    """Swatches and names in one row between title and plot, spaced by the length of the names."""
-    parts, left = [], _LEFT
-    for name, color in zip(names, _COLORS, strict=False):
-        parts.append(f'<rect x="{left:.0f}" y="33" width="14" height="4" fill="{color}"/>')
-        parts.append(_text(left + 19, 39.0, name))
-        left += 19 + 7.2 * len(name) + 14
-    return parts
+def _legend_rows(names: Sequence[str], width: float) -> list[list[str]]:
+    """Names in rows that fit, spaced by their lengths."""
+    rows: list[list[str]] = [[]]
+    used = 0.0
+    for name in names:
+        needed = _legend_width(name)
+        if rows[-1] and used + needed > width:
+            rows.append([])
+            used = 0.0
+        rows[-1].append(name)
+        used += needed
+    return rows
 
 
-def _line(x1: float, y1: float, x2: float, y2: float, color: str) -> str:
-    return f'<line x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}" stroke="{color}"/>'
+def _legend_width(name: str) -> float:
+    return 19 + text_width(name) + 14
 
 
-def _text(
-    x: float, y: float, text: str, *, anchor: str = "start", color: str = _INK, size: int = 12, weight: str = "400"
-) -> str:
-    return (
-        f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" fill="{color}" font-size="{size}"'
-        f' font-weight="{weight}">{escape(text)}</text>'
-    )
-
-
-def _svg(title: str, parts: Sequence[str]) -> str:
-    return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH:.0f} {HEIGHT:.0f}" role="img"'
-        f' aria-label="{escape(title)}" font-family="{_FONT}">{"".join(parts)}</svg>'
-    )
+def _legend(rows: Sequence[Sequence[str]], colors: Mapping[str, str], left: float, baseline: float) -> list[Shape]:
+    shapes: list[Shape] = []
+    for index, row in enumerate(rows):
+        at, down = left, baseline + index * _LEGEND_ROW
+        for name in row:
+            shapes.append(Bar(corner=(at, down - 6), width=14.0, height=4.0, color=colors[name]))
+            shapes.append(Words(place=(at + 19, down), text=name, color=_INK))
+            at += _legend_width(name)
+    return shapes

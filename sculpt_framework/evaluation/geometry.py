@@ -135,6 +135,20 @@ class MeasuredMesh:
         """Distance of each point to the nearest sample."""
         return self._sample_tree.query(points, workers=-1)[0]
 
+    def nearest_samples(self, points: Float64[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:
+        """Which of the samples is nearest to each point."""
+        return np.asarray(self._sample_tree.query(points, workers=-1)[1], dtype=np.int64)
+
+    def first_hits(
+        self, origins: Float64[np.ndarray, "n 3"], ways: Float64[np.ndarray, "n 3"]
+    ) -> Float64[np.ndarray, " n"]:
+        """Where each ray first meets the surface, in lengths of its ``ways``; infinite where it never does."""
+        if len(origins) == 0:
+            return np.zeros(0)
+        tree, mesh = self._triangle_tree, self.mesh
+        face, place, _ = tree.intersect_ray_first(mesh.vertices, mesh.faces, np.ascontiguousarray(origins), ways)
+        return np.where(np.asarray(face) >= 0, np.asarray(place), np.inf)
+
     def unit_normals(self, face: Int64[np.ndarray, " n"]) -> Float64[np.ndarray, "n 3"]:
         corners = self.mesh.vertices[self.mesh.faces[face]]
         cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

@@ -2,13 +2,16 @@
 
 import math
 
+import cv2
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Float32
 from torch import Tensor
 
 Image = Float[Tensor | np.ndarray, "h w 3"]
 Mask = Float[Tensor | np.ndarray, "h w"]
+_WINDOW, _SIGMA = 11, 1.5
+_C1, _C2 = 0.01**2, 0.03**2
 
 
 def psnr(image: Image, target: Image) -> float:
@@ -24,12 +27,26 @@ def psnr(image: Image, target: Image) -> float:
 def ssim(image: Image, target: Image) -> float:
     """Structural similarity in [-1, 1], mean over pixels and channels.
 
-    Gaussian window of 11x11 pixels with sigma 1.5, zero padding, as in 3DGS.
+    Gaussian window of 11x11 pixels with sigma 1.5, zero padding, as in 3DGS; constants 0.01^2 and 0.03^2. The twin of
+    the differentiable one in ``rendering.photometric``, many times as fast on a CPU: the window is separable.
     """
-    from sculpt_framework.rendering.photometric import ssim as differentiable_ssim
+    first, second = _clipped(image), _clipped(target)
+    mean_1, mean_2 = _blur(first), _blur(second)
+    variance_1 = _blur(first * first) - mean_1 * mean_1
+    variance_2 = _blur(second * second) - mean_2 * mean_2
+    covariance = _blur(first * second) - mean_1 * mean_2
+    similar = (2 * mean_1 * mean_2 + _C1) * (2 * covariance + _C2)
+    apart = (mean_1 * mean_1 + mean_2 * mean_2 + _C1) * (variance_1 + variance_2 + _C2)
+    return float(np.mean(similar / apart, dtype=np.float64))
 
-    first, second = torch.as_tensor(image).float().clamp(0, 1), torch.as_tensor(target).float().clamp(0, 1)
-    return float(differentiable_ssim(first, second))
+
+def _clipped(image: Image) -> Float32[np.ndarray, "h w 3"]:
+    array = image.detach().cpu().numpy() if isinstance(image, Tensor) else image
+    return np.ascontiguousarray(np.clip(array, 0, 1), dtype=np.float32)
+
+
+def _blur(image: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w 3"]:
+    return cv2.GaussianBlur(image, (_WINDOW, _WINDOW), _SIGMA, borderType=cv2.BORDER_CONSTANT).reshape(image.shape)
 
 
 def mask_iou(mask: Mask, target: Mask, threshold: float = 0.5) -> float:

@@ -4,7 +4,7 @@ import base64
 
 import cv2
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Float32, UInt8
 
 Picture = UInt8[np.ndarray, "h w 3"]
 
@@ -19,10 +19,20 @@ def color_picture(rgb: Float[np.ndarray, "h w 3"]) -> Picture:
 
 def difference_picture(image: Float[np.ndarray, "h w 3"], target: Float[np.ndarray, "h w 3"]) -> Picture:
     """Mean absolute difference over the channels: white for none, over orange to black at ``DIFFERENCE_SCALE``."""
-    share = (np.abs(image - target).mean(axis=2) / DIFFERENCE_SCALE).clip(0, 1)
-    stops = np.array([[255, 255, 255], [253, 190, 133], [217, 71, 1], [60, 10, 0]], dtype=np.float64)
-    channels = [np.interp(share, np.linspace(0, 1, len(stops)), stops[:, channel]) for channel in range(3)]
-    return np.rint(np.stack(channels, axis=2)).astype(np.uint8)
+    share = np.abs(image - target).mean(axis=2) / DIFFERENCE_SCALE
+    return np.rint(_heat(share, (255, 255, 255))).astype(np.uint8)
+
+
+def error_colors(share: Float[np.ndarray, " n"]) -> Float32[np.ndarray, "n 3"]:
+    """sRGB in [0, 1] for errors as shares of the largest that is told apart: light grey, over orange to black."""
+    return (_heat(share, (225, 228, 232)) / 255).astype(np.float32)
+
+
+def _heat(share: Float[np.ndarray, "*s"], none: tuple[int, int, int]) -> Float[np.ndarray, "*s 3"]:
+    """Colours in 0 to 255 from ``none`` at 0 to nearly black at 1 and beyond."""
+    stops = np.array([none, [253, 190, 133], [217, 71, 1], [60, 10, 0]], dtype=np.float64)
+    places = np.linspace(0, 1, len(stops))
+    return np.stack([np.interp(share, places, stops[:, channel]) for channel in range(3)], axis=-1)
 
 
 def normal_picture(normal: Float[np.ndarray, "h w 3"]) -> Picture:

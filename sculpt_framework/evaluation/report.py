@@ -1,5 +1,6 @@
 """``report.html``: one page, complete in itself, of what a run did and what came out."""
 
+import itertools
 import json
 from collections.abc import Mapping, Sequence
 from html import escape
@@ -10,45 +11,50 @@ from sculpt_framework.errors import DataError
 from sculpt_framework.evaluation.charts import Axis, Series, histogram_chart, line_chart, number
 from sculpt_framework.evaluation.curve import CURVE_COLUMNS, CurveRow, read_curve
 from sculpt_framework.evaluation.mesh import load_mesh
+from sculpt_framework.evaluation.mesh_report import RESULT_MEASURES
 from sculpt_framework.evaluation.pictures import Picture, png_data_uri
 from sculpt_framework.evaluation.triangle_quality import triangle_quality
+from sculpt_framework.evaluation.web_page import bullets, details, fact, facts_table, grid_table, page
 from sculpt_framework.export.atomic import write_atomically
 
 TIME = Axis(label="training time, s (logarithmic)", log=True)
 Facts = Mapping[str, Any]
 
 
-def write_report(run_dir: Path, pictures: Mapping[str, Picture]) -> Path:
+def write_report(run_dir: Path, pictures: Mapping[str, Mapping[str, Picture]]) -> Path:
     """Write RUN_DIR/report.html from what the run left there, and return its path.
 
     Reads curve.csv, metrics.json, config.json, events.jsonl and mesh.ply; a section whose file is missing says so.
-    ``pictures`` are shown in their order under their names. Raises DataError where a file is there but broken, and
-    OutputError where the page cannot be written.
+    plan.json is read too, and its section left out where there is none. ``pictures`` are shown in their order, in rows
+    under their headings. Raises DataError where a file is there but broken, and OutputError where the page cannot be
+    written.
     """
     metrics, config = _read_json(run_dir / "metrics.json"), _read_json(run_dir / "config.json")
     events = _read_events(run_dir / "events.jsonl")
     curve = read_curve(run_dir / "curve.csv") if (run_dir / "curve.csv").exists() else []
     started = next((event["data"] for event in reversed(events) if event["event"] == "run_started"), {})
     title = f"{metrics.get('scene') or started.get('scene') or run_dir.name} · {metrics.get('method') or 'run'}"
+    final = metrics.get("final") or {}
     sections = [
-        ("", _summary(metrics)),
+        ("", _summary(metrics) + _unknown(metrics, started)),
         ("Error against time", _curves(curve)),
         ("At shares of the run", _milestones(metrics.get("milestones") or ())),
+        ("Where the time went", facts_table(_time_spent(events))),
         ("Pictures", _pictures(pictures)),
         ("Triangles", _triangles(run_dir / "mesh.ply")),
-        ("Mesh certificate", _table(metrics.get("certificate") or {})),
-        ("Input", _list([*map(str, started.get("notes", ()))]) or "<p>Nothing unusual.</p>"),
-        ("Decisions", _list(_decisions(events))),
-        ("Measures at the end", _measures(metrics.get("final") or {})),
-        ("Made with", _table({"device": started.get("device"), "seed": metrics.get("seed"), **_versions(metrics)})),
-        ("Configuration", f"<details><summary>config.json</summary><pre>{_pretty(config)}</pre></details>"),
+        ("Mesh certificate", facts_table(metrics.get("certificate") or {})),
+        ("Input", _input(started)),
+        *([("Plan", _plan(run_dir / "plan.json"))] if (run_dir / "plan.json").exists() else []),
+        ("Decisions", bullets(_decisions(events))),
+        ("Measures at the end", _measures(final)),
+        (
+            "Made with",
+            facts_table({"device": started.get("device"), "seed": metrics.get("seed"), **_versions(metrics)}),
+        ),
+        ("Configuration", details("config.json", config)),
     ]
-    body = "".join(
-        f"<section>{f'<h2>{escape(name)}</h2>' if name else ''}{content or _UNKNOWN}</section>"
-        for name, content in sections
-    )
     path = run_dir / "report.html"
-    write_atomically(path, _page(title, body).encode("utf-8"))
+    write_atomically(path, page(title, sections).encode("utf-8"))
     return path
 
 
@@ -68,12 +74,56 @@ def _summary(metrics: Facts) -> str:
         value = final.get(key)
         tiles.append((label, "not known" if value is None else style.format(value)))
     if certificate:
-        tiles.append(("watertight", _fact(certificate["watertight"])))
+        tiles.append(("watertight", fact(certificate["watertight"])))
     return (
         '<div class="tiles">'
-        + "".join(f"<div><b>{escape(_fact(value))}</b><span>{escape(label)}</span></div>" for label, value in tiles)
+        + "".join(f"<div><b>{escape(fact(value))}</b><span>{escape(label)}</span></div>" for label, value in tiles)
         + "</div>"
     )
+
+
+def _unknown(metrics: Facts, started: Facts) -> str:
+    """What this run cannot tell, in words; nothing where it has a reference."""
+    if not metrics or (metrics.get("final") or {}).get("chamfer_ps") is not None or started.get("reference"):
+        return ""
+    return (
+        '<p class="unknown">There is no reference mesh: how far the surface is from the true one is not known, nor are'
+        " F-score, normal consistency and the colours of mesh error. PSNR, SSIM and mask IoU are of held-out views;"
+        " they say nothing about what no view shows.</p>"
+    )
+
+
+def _time_spent(events: Sequence[Facts]) -> Facts:
+    """Wall seconds of the process by what they went to, up to the end of the run; of its last process if resumed."""
+    first = max((index for index, event in enumerate(events) if event["event"] == "run_started"), default=None)
+    if first is None or "t_train" not in events[first]:
+        return {}
+    names = {"evaluation": "measuring", "run_ended": "measuring", "checkpoint": "saving checkpoints"}
+    start, last = events[first], events[-1]
+    idle: dict[str, float] = {"measuring": 0.0, "saving checkpoints": 0.0}
+    for before, after in itertools.pairwise(events[first:]):
+        # What passed on the wall and not on the training clock belongs to the event it led to.
+        seconds = (after["t_wall"] - before["t_wall"]) - (after["t_train"] - before["t_train"])
+        name = names.get(after["event"], "compiling, pictures, viewing")
+        idle[name] = idle.get(name, 0.0) + max(0.0, seconds)
+    parts = {"start and loading": start["t_wall"], "training": last["t_train"] - start["t_train"], **idle}
+    total = max(sum(parts.values()), 1e-9)
+    return {name: f"{seconds:.1f} s, {100 * seconds / total:.0f} %" for name, seconds in parts.items()}
+
+
+def _input(started: Facts) -> str:
+    """What was unusual about the data, and the digests that say which data they were."""
+    notes = bullets([*map(str, started.get("notes", ()))]) or "<p>Nothing unusual.</p>"
+    digests = {f"SHA-256 of {name}": digest for name, digest in (started.get("inputs") or {}).items()}
+    return notes + facts_table(digests)
+
+
+def _plan(path: Path) -> str:
+    """What the run left out or chose for this scene, and how to have it otherwise."""
+    keys = ("item", "value", "evidence", "saves", "override")
+    decisions = _read_json(path).get("decisions") or ()
+    rows = [[fact(decision[key]) if decision.get(key) is not None else "" for key in keys] for decision in decisions]
+    return grid_table(keys, rows)
 
 
 def _curves(curve: Sequence[CurveRow]) -> str:
@@ -97,7 +147,14 @@ def _curves(curve: Sequence[CurveRow]) -> str:
             parts.append(line_chart(title, series, TIME, axis))
         else:
             parts.append(f'<p class="unknown">{escape(title)}: not known for this run.</p>')
-    return f'<div class="charts">{"".join(parts)}</div>' if curve else ""
+    return f'<div class="charts">{"".join(parts)}</div>{_rows(curve)}' if curve else ""
+
+
+def _rows(curve: Sequence[CurveRow]) -> str:
+    """The numbers behind the curves, to be unfolded."""
+    columns = [column for column in CURVE_COLUMNS if any(row[column] is not None for row in curve)]
+    rows = [["" if row[column] is None else number(row[column] or 0.0) for column in columns] for row in curve]
+    return f"<details><summary>curve.csv</summary>{grid_table(columns, rows)}</details>"
 
 
 def _points(curve: Sequence[CurveRow], column: str) -> list[tuple[float, float]]:
@@ -110,22 +167,23 @@ def _milestones(milestones: Sequence[Facts]) -> str:
     shown = {key: label for key, label in labels.items() if any(row.get(key) is not None for row in milestones)}
     if not milestones or not shown:
         return ""
-    head = "".join(f"<th>{label}</th>" for label in ("share of the run", *shown.values()))
     rows = [
-        f"<td>{100 * row['share']:.0f} %</td>"
-        + "".join(f"<td>{'' if row.get(key) is None else f'{row[key]:.4g}'}</td>" for key in shown)
+        [f"{100 * row['share']:.0f} %", *("" if row.get(key) is None else f"{row[key]:.4g}" for key in shown)]
         for row in milestones
     ]
-    return f"<table><tr>{head}</tr>{''.join(f'<tr>{row}</tr>' for row in rows)}</table>"
+    return grid_table(["share of the run", *shown.values()], rows)
 
 
-def _pictures(pictures: Mapping[str, Picture]) -> str:
-    figures = [
-        f'<figure><img src="{png_data_uri(picture)}" alt="{escape(name)}">'
-        f"<figcaption>{escape(name)}</figcaption></figure>"
-        for name, picture in pictures.items()
-    ]
-    return f'<div class="pictures">{"".join(figures)}</div>' if figures else ""
+def _pictures(pictures: Mapping[str, Mapping[str, Picture]]) -> str:
+    out = []
+    for heading, row in pictures.items():
+        figures = [
+            f'<figure><img src="{png_data_uri(picture)}" alt="{escape(name)}">'
+            f"<figcaption>{escape(name)}</figcaption></figure>"
+            for name, picture in row.items()
+        ]
+        out.append(f'<h3>{escape(heading)}</h3><div class="pictures">{"".join(figures)}</div>')
+    return "".join(out)
 
 
 def _triangles(path: Path) -> str:
@@ -140,6 +198,7 @@ def _triangles(path: Path) -> str:
         histogram_chart("Smallest angle", quality.minimum_angles, Axis(label="degrees"), share),
         histogram_chart("Largest angle", quality.maximum_angles, Axis(label="degrees"), share),
         histogram_chart("Aspect ratio", quality.aspect_ratios, Axis(label="ratio, 1 is equilateral"), share),
+        histogram_chart("Radius ratio", quality.radius_ratios, Axis(label="ratio, 1 is equilateral"), share),
     ]
     facts = {
         "smallest angle of all": f"{quality.smallest_angle:.3g} degrees",
@@ -152,15 +211,16 @@ def _triangles(path: Path) -> str:
         "aspect ratio above 4": f"{quality.aspect_over4_pct:.2f} % of triangles",
         "radius ratio above 4": f"{quality.radius_over4_pct:.2f} % of triangles",
     }
-    return f'<div class="charts">{"".join(charts)}</div>{_table(facts)}'
+    return f'<div class="charts">{"".join(charts)}</div>{facts_table(facts)}'
 
 
 def _measures(final: Facts) -> str:
-    rows = [
-        f"<tr><th>{escape(name)}</th><td>{escape(_fact(value))}</td><td>{escape(CURVE_COLUMNS.get(name, ''))}</td></tr>"
-        for name, value in final.items()
-    ]
-    return f"<table>{''.join(rows)}</table>" if rows else ""
+    rows, notes = [], {**RESULT_MEASURES, **CURVE_COLUMNS}
+    for name, value in final.items():
+        # A score per threshold is a row of its own.
+        parts = {f"{name} {at}": each for at, each in value.items()} if isinstance(value, Mapping) else {name: value}
+        rows += [[part, fact(each), notes.get(part, "")] for part, each in parts.items()]
+    return grid_table(["measure", "value", ""], rows)
 
 
 def _versions(metrics: Facts) -> Facts:
@@ -169,31 +229,7 @@ def _versions(metrics: Facts) -> Facts:
 
 def _decisions(events: Sequence[Facts]) -> list[str]:
     told = [event["data"] for event in events if event["event"] in ("decision", "action", "warning", "recovered")]
-    return ["; ".join(f"{key.replace('_', ' ')}: {_fact(value)}" for key, value in data.items()) for data in told]
-
-
-def _table(facts: Facts) -> str:
-    rows = [
-        f"<tr><th>{escape(str(name).replace('_', ' '))}</th><td>{escape(_fact(value))}</td></tr>"
-        for name, value in facts.items()
-    ]
-    return f"<table>{''.join(rows)}</table>" if rows else ""
-
-
-def _list(items: Sequence[str]) -> str:
-    return f"<ul>{''.join(f'<li>{escape(item)}</li>' for item in items)}</ul>" if items else ""
-
-
-def _fact(value: Any) -> str:
-    if value is None:
-        return "not known"
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    return number(value) if isinstance(value, float) else str(value)
-
-
-def _pretty(config: Facts) -> str:
-    return escape(json.dumps(config, indent=2))
+    return ["; ".join(f"{key.replace('_', ' ')}: {fact(value)}" for key, value in data.items()) for data in told]
 
 
 def _read_json(path: Path) -> Facts:
@@ -215,37 +251,3 @@ def _read_events(path: Path) -> list[Facts]:
         except ValueError:
             continue
     return events
-
-
-_UNKNOWN = '<p class="unknown">Not recorded for this run.</p>'
-
-
-def _page(title: str, body: str) -> str:
-    return f"""<!doctype html>
-<html lang="en"><head><meta charset="utf-8">
-<meta http-equiv="Content-Security-Policy" content="default-src 'none'; img-src data:; style-src 'unsafe-inline'">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{escape(title)}</title>
-<style>{_STYLE}</style></head>
-<body><h1>{escape(title)}</h1>{body}</body></html>
-"""
-
-
-_STYLE = """
-body { font: 15px/1.45 system-ui, sans-serif; color: #222; background: #fff; max-width: 1440px; margin: 2rem auto;
-       padding: 0 1.5rem; }
-h1 { font-size: 1.6rem; margin-bottom: 1rem; }
-h2 { font-size: 1.15rem; border-bottom: 1px solid #ddd; padding-bottom: .3rem; margin-top: 2.2rem; }
-.tiles { display: flex; flex-wrap: wrap; gap: .8rem; }
-.tiles div { border: 1px solid #ddd; border-radius: 8px; padding: .6rem 1rem; min-width: 7.5rem; }
-.tiles b { display: block; font-size: 1.25rem; }
-.tiles span, .unknown, figcaption { color: #666; font-size: .9rem; }
-.charts, .pictures { display: grid; grid-template-columns: repeat(auto-fill, minmax(400px, 1fr)); gap: 1rem 2rem; }
-.pictures { grid-template-columns: repeat(auto-fill, minmax(240px, 1fr)); }
-.pictures img { width: 100%; border: 1px solid #ddd; }
-figure { margin: 0; }
-table { border-collapse: collapse; }
-th, td { text-align: left; padding: .2rem 1.2rem .2rem 0; border-bottom: 1px solid #eee; font-weight: 400; }
-th { color: #555; }
-pre { background: #f6f6f6; padding: 1rem; overflow-x: auto; font-size: .85rem; }
-"""

@@ -5,12 +5,15 @@ import numpy as np
 
 from sculpt_framework.evaluation.mesh import Mesh
 
+_FROM_END = 1e-6
+"""Share of an edge's length, at either end, that is taken for touching."""
+
 
 def count_self_intersections(mesh: Mesh) -> int:
     """Pairs of faces that cross: an edge of one passes through the inside of the other, away from its vertices.
 
-    Exact up to rounding for faces in general position. Not counted: faces that only touch, and faces that overlap in
-    one plane.
+    Exact for faces in general position, up to rounding and to a millionth of an edge at its ends. Not counted: faces
+    that only touch, and faces that overlap in one plane.
     """
     if len(mesh.faces) == 0:
         return 0
@@ -18,10 +21,16 @@ def count_self_intersections(mesh: Mesh) -> int:
     ends, edge_of_half_edge = np.unique(np.sort(half_edges, axis=1), axis=0, return_inverse=True)
     tree = igl.AABB()
     tree.init(mesh.vertices, mesh.faces)
-    start, end = mesh.vertices[ends[:, 0]], mesh.vertices[ends[:, 1]]
+    start, way = mesh.vertices[ends[:, 0]], mesh.vertices[ends[:, 1]] - mesh.vertices[ends[:, 0]]
+    # Nearly all edges meet nothing between their ends, which one quick look at each tells.
+    within = start + _FROM_END * way
+    met, _, _ = tree.intersect_ray_first(mesh.vertices, mesh.faces, within, way, 1 - 2 * _FROM_END)
+    suspects = np.flatnonzero(np.asarray(met) >= 0)
+    if len(suspects) == 0:
+        return 0
     # One list per edge of (face, place along the edge, u, v), for the whole ray: before and behind the edge too.
-    hits = tree.intersect_ray(mesh.vertices, mesh.faces, start, end - start)
-    edge = np.repeat(np.arange(len(hits)), [len(found) for found in hits])
+    hits = tree.intersect_ray(mesh.vertices, mesh.faces, start[suspects], way[suspects])
+    edge = np.repeat(suspects, [len(found) for found in hits])
     face = np.array([hit[0] for found in hits for hit in found], dtype=np.int64)
     place = np.array([hit[1] for found in hits for hit in found], dtype=np.float64)
     crosses = (place > 0) & (place < 1)

@@ -90,7 +90,7 @@ def cells_at_level(cells: Int64[Tensor, " c"], steps: int) -> Int64[Tensor, " d"
     return cells
 
 
-def find(ordered: Int64[Tensor, " n"], keys: Int64[Tensor, " m"]) -> tuple[Int64[Tensor, " m"], Bool[Tensor, " m"]]:
+def find(ordered: Int64[Tensor, " n"], keys: Int64[Tensor, "*m"]) -> tuple[Int64[Tensor, "*m"], Bool[Tensor, "*m"]]:
     """Row of each key in an ascending list and whether it is there; the row of an absent key means nothing."""
     if ordered.shape[0] == 0:
         return torch.zeros_like(keys), torch.zeros_like(keys, dtype=torch.bool)
@@ -111,7 +111,7 @@ def cases_of(inside: Bool[Tensor, "c 8"]) -> Int64[Tensor, " c"]:
 
 
 def crossing_weight(
-    inner: Float[Tensor, "*shape"], outer: Float[Tensor, "*shape"], least: float
+    inner: Float[Tensor, "*shape"], outer: Float[Tensor, "*shape"], least: float | Float[Tensor, "..."]
 ) -> Float[Tensor, "*shape"]:
     """Where, from 0 to 1 along an edge, a linear function that goes from -inner to +outer is zero.
 
@@ -182,7 +182,7 @@ def track(sample: CornerSampler, grid: Grid, seeds: Int64[Tensor, " s"]) -> Band
         corners, cell_corners = corners_of(frontier)
         fresh = corners[~find(known, corners)[1]]
         if fresh.shape[0] > 0:
-            position, value = _sample_corners(sample, grid, fresh)
+            position, value = sample_corners(sample, grid, fresh, WALL_SDF * grid.cell)
             positions.append(position)
             values.append(value)
             number = torch.arange(len(fresh), device=fresh.device) + len(inside)
@@ -229,13 +229,13 @@ def _neighbour_steps(device: torch.device) -> Int64[Tensor, " 6"]:
     return torch.stack([-along, along], dim=1).reshape(-1)
 
 
-def _sample_corners(
-    sample: CornerSampler, grid: Grid, corners: Int64[Tensor, " m"]
+def sample_corners(
+    sample: CornerSampler, grid: Grid, corners: Int64[Tensor, " m"], wall_sdf: float
 ) -> tuple[Float[Tensor, "m 3"], Float[Tensor, " m"]]:
-    """Positions and sdf of corners, the latter closed off at the wall and checked to be finite."""
+    """Positions and sdf of corners of ``grid``, checked to be finite; at its wall the sdf is at least ``wall_sdf``."""
     position, value = sample(corners)
     broken = ~torch.isfinite(value.detach())
     if bool(broken.any()):
         raise FloatingPointError(f"the signed distance is not finite at {int(broken.sum())} of {len(value)} corners")
     wall = grid.on_wall(unpack_ijk(corners))
-    return position, torch.where(wall, value.clamp(min=WALL_SDF * grid.cell), value)
+    return position, torch.where(wall, value.clamp(min=wall_sdf), value)

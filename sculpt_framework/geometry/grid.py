@@ -20,7 +20,7 @@ MAX_CELLS_PER_AXIS = (1 << AXIS_BITS) - 2
 
 
 def pack(
-    level: int,
+    level: Int64[Tensor, " n"] | int,
     ijk: Int64[Tensor, "n 3"],
     primitive: Int64[Tensor, " n"] | int = 0,
     part: Int64[Tensor, " n"] | int = 0,
@@ -83,6 +83,16 @@ class Grid:
         origin = torch.tensor(self.origin, dtype=points.dtype, device=points.device)
         top = torch.tensor(self.shape, device=points.device) - 1
         return ((points - origin) / self.cell).floor().long().clamp(min=0).minimum(top)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RefineBox:
+    """An axis-aligned box, in the frame of the grid, in which the surface is wanted on finer cells."""
+
+    minimum: tuple[float, float, float]
+    maximum: tuple[float, float, float]
+    levels: int
+    """How many levels finer than elsewhere; each halves the cells."""
 
 
 def grid_over_box(half_sides: Float[Tensor, " 3"], cells: int, level: int = 0, margin_cells: int = 2) -> Grid:

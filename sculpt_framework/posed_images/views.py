@@ -55,7 +55,7 @@ def load_views(train: Sequence[PosedImage], test: Sequence[PosedImage], backgrou
     if any(image.alpha is None for image in images):
         images, note = _key(images, split, background)
         notes.append(note)
-    views = [_view(item.name, camera, image) for item, camera, image in zip(posed, cameras, images, strict=True)]
+    views = [_view(item, camera, image) for item, camera, image in zip(posed, cameras, images, strict=True)]
     seen = [view for view in views[:split] if view.alpha is None or bool((view.alpha > 0.5).any())]
     if not seen:
         raise DataError(
@@ -125,6 +125,6 @@ def _with_alpha(image: DecodedImage, background: Background) -> DecodedImage:
     return replace(image, rgb=rgb, alpha=alpha)
 
 
-def _view(name: str, camera: Camera, image: DecodedImage) -> View:
+def _view(item: PosedImage, camera: Camera, image: DecodedImage) -> View:
     alpha = None if image.alpha is None else torch.from_numpy(image.alpha)
-    return View(name=name, camera=camera, rgb=torch.from_numpy(image.rgb), alpha=alpha)
+    return View(name=item.name, camera=camera, rgb=torch.from_numpy(image.rgb), alpha=alpha, source=item.path)

@@ -54,7 +54,7 @@ def loaded(statement: str) -> set[str]:
     return set(done.stdout.split())
 
 
-@pytest.mark.parametrize("module", ["train", "options", "exit_codes"])
+@pytest.mark.parametrize("module", ["train", "options", "exit_codes", "report"])
 def test_the_command_line_imports_nothing_heavy(module: str):
     assert not loaded(f"import sculpt_framework.cli.{module}") & set(HEAVY)
 

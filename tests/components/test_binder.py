@@ -47,7 +47,9 @@ def test_placement_refuses_other_counts(k):
 @pytest.mark.parametrize("reference", ["steiner", "edges"])
 def test_gaussians_lie_in_the_plane_of_their_face(k, reference):
     surface = triangle_surface(some_triangles())
-    binder = FaceBarycentricConfig(gaussians_per_face=k, reference=reference, normal_scale=1e-6).build()
+    binder = FaceBarycentricConfig(
+        gaussians_per_face=k, reference=reference, normal_scale=1e-6, fit_outline=False
+    ).build()
     binding = binder.bind(surface, rows_of(binder, surface), blur=0.0)
     corners = surface.vertices[surface.faces]
     normal = torch.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], dim=1)
@@ -62,7 +64,7 @@ def test_gaussians_lie_in_the_plane_of_their_face(k, reference):
 
 def test_edges_reference_is_the_paper_s_equation():
     surface = triangle_surface(some_triangles())
-    binder = FaceBarycentricConfig(reference="edges", scale=1.0, rotation_rate=0.0).build()
+    binder = FaceBarycentricConfig(reference="edges", scale=1.0, rotation_rate=0.0, fit_outline=False).build()
     binding = binder.bind(surface, rows_of(binder, surface), blur=0.0)
     corners = surface.vertices[surface.faces]
     torch.testing.assert_close(binding.scales[:, 0, 1], 0.5 * (corners[:, 1] - corners[:, 0]).norm(dim=1))
@@ -73,7 +75,7 @@ def test_edges_reference_is_the_paper_s_equation():
 
 def test_steiner_covariance_does_not_depend_on_the_order_of_vertices():
     corners = some_triangles()
-    binder = FaceBarycentricConfig(scale=1.0, normal_scale=1e-6).build()
+    binder = FaceBarycentricConfig(scale=1.0, normal_scale=1e-6, fit_outline=False).build()
     first, second = (triangle_surface(corners[:, order]) for order in ([0, 1, 2], [1, 2, 0]))
     one, other = (covariance(binder.bind(s, rows_of(binder, s), blur=0.0)) for s in (first, second))
     torch.testing.assert_close(one, other)
@@ -98,18 +100,23 @@ def test_tangent_covariance_is_the_covariance_in_the_face_frame():
     torch.testing.assert_close(torch.linalg.det(full) / binding.scales[:, :, 0] ** 2, torch.linalg.det(flat))
 
 
-def test_inset_moves_along_the_inward_normal():
-    corners = torch.tensor([[[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]], dtype=torch.float64)
-    surface = triangle_surface(corners)
-    binder = FaceBarycentricConfig(inset=2.5).build()
-    means = binder.bind(surface, rows_of(binder, surface), blur=0.1).means
-    torch.testing.assert_close(means[0, 0, 2], torch.tensor(-0.25, dtype=torch.float64))
+def test_gaussians_of_a_face_share_the_area_of_the_steiner_ellipse():
+    surface = triangle_surface(some_triangles())
+    areas = []
+    for k in (1, 4):
+        binder = FaceBarycentricConfig(gaussians_per_face=k, fit_outline=False).build()
+        binding = binder.bind(surface, rows_of(binder, surface), blur=0.0)
+        areas.append(torch.linalg.det(binding.tangent_covariance).sqrt().sum(dim=1))
+    torch.testing.assert_close(areas[0], areas[1])
 
 
 @pytest.mark.parametrize("reference", ["steiner", "edges"])
 @pytest.mark.parametrize("opacity", ["fixed", "learnable"])
 def test_gradients(reference, opacity):
-    binder = FaceBarycentricConfig(gaussians_per_face=2, reference=reference, opacity=opacity).build()
+    # The fit is a constant of the step (test_splat_surface.py): differences would see it change.
+    binder = FaceBarycentricConfig(
+        gaussians_per_face=2, reference=reference, opacity=opacity, fit_outline=False
+    ).build()
     corners = some_triangles(2).requires_grad_()
     rows = rows_of(binder, triangle_surface(corners))
     names = list(rows)
@@ -141,11 +148,12 @@ def test_gradients(reference, opacity):
 )
 @pytest.mark.parametrize("reference", ["steiner", "edges"])
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_degenerate_faces_bind_finite_gaussians_with_finite_gradients(corners, reference, dtype):
+@pytest.mark.parametrize("blur", [0.0, 0.01])
+def test_degenerate_faces_bind_finite_gaussians_with_finite_gradients(corners, reference, dtype, blur):
     corners = torch.tensor([corners], dtype=dtype, requires_grad=True)
     binder = FaceBarycentricConfig(gaussians_per_face=3, reference=reference).build()
     surface = triangle_surface(corners)
-    binding = binder.bind(surface, rows_of(binder, surface), blur=0.0)
+    binding = binder.bind(surface, rows_of(binder, surface), blur=blur)
     total = sum(
         value.sum()
         for value in (binding.means, binding.scales, binding.rotations, binding.tangent_covariance, binding.opacities)

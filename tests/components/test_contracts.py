@@ -52,7 +52,7 @@ def test_constraint(name: str, gaussians_per_face: int):
     "config",
     [
         FaceBarycentricConfig(gaussians_per_face=3, opacity="learnable"),
-        FaceBarycentricConfig(reference="edges", rotation_rate=0.0, inset=0.0),
+        FaceBarycentricConfig(reference="edges", rotation_rate=0.0, fit_outline=False),
     ],
 )
 def test_binder_in_its_other_ways(config: FaceBarycentricConfig):

@@ -57,9 +57,10 @@ def test_training_leaves_every_file(trained: tuple[Path, Finished]):
     assert metrics["status"] == "finished"
     assert metrics["certificate"]["watertight"]
     page = (folder / "report.html").read_text()
-    for name in ("reference", "rendering", "difference", "normals"):
+    for name in ("reference", "rendering", "difference", "normals", "mesh error"):
         assert f"{name}" in page
-    assert page.count("data:image/png;base64") == 4
+    # Once for the result and, but for the reference, once for the start.
+    assert page.count("data:image/png;base64") == 9
 
 
 def test_a_finished_run_is_measured_and_exported(

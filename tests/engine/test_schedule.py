@@ -84,6 +84,14 @@ def test_times_are_measured_where_that_is_cheap():
     assert milestones.due(0.01, 9.0, 0.1) == "time"
 
 
+def test_a_run_of_known_length_may_measure_ahead():
+    milestones = Milestones(given=120.0)
+    assert milestones.due(0.01, 1.1, 2.0) == "time"
+    assert milestones.due(0.02, 2.1, 3.5) == "time"
+    assert milestones.due(0.03, 4.1, 4.0) is None
+    assert milestones.due(0.1, 60.0, 4.0) == "time"
+
+
 def test_milestones_are_the_first_rows_at_a_share_and_the_last_of_all():
     milestones = Milestones()
     for progress, psnr in ((0.0, 1.0), (0.3, 2.0), (0.5, 3.0), (1.0, 4.0), (1.0, 5.0)):

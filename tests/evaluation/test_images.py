@@ -8,6 +8,7 @@ import torch
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from sculpt_framework.evaluation.images import mask_iou, psnr, ssim
+from sculpt_framework.rendering.photometric import ssim as differentiable_ssim
 
 
 def test_psnr_of_a_constant_difference():
@@ -48,3 +49,22 @@ def test_mask_iou():
     one[:2], other[1:3] = 1, 0.8
     assert mask_iou(one, other) == pytest.approx(4 / 12)
     assert mask_iou(one.numpy(), 0 * other.numpy()) == 0
+
+
+@pytest.mark.parametrize("shape", [(40, 36), (7, 5), (1, 13), (120, 90)])
+def test_ssim_is_the_differentiable_one(shape: tuple[int, int]):
+    """Up to the rim, where padding matters, and for images smaller than the window."""
+    generator = np.random.default_rng(2)
+    image = generator.random((*shape, 3)).astype(np.float32)
+    target = np.clip(image + 0.1 * generator.normal(size=image.shape), 0, 1).astype(np.float32)
+    expected = float(differentiable_ssim(torch.from_numpy(image), torch.from_numpy(target)))
+    assert ssim(image, target) == pytest.approx(expected, abs=2e-5)
+    assert ssim(torch.from_numpy(image), target) == ssim(image, target)
+
+
+def test_ssim_of_flat_images_is_their_luminance_term():
+    """Away from the rim the variances are 0: what is left is (2 a b + C) / (a^2 + b^2 + C)."""
+    one, other = np.full((400, 400, 3), 0.8), np.full((400, 400, 3), 0.4)
+    expected = (2 * 0.8 * 0.4 + 1e-4) / (0.8**2 + 0.4**2 + 1e-4)
+    assert ssim(one, other) == pytest.approx(expected, abs=0.01)
+    assert ssim(one, one) == pytest.approx(1, abs=1e-6)

@@ -1,5 +1,6 @@
 """The report: one page, complete in itself, whatever of the run is there."""
 
+import itertools
 import json
 from dataclasses import asdict
 from html.parser import HTMLParser
@@ -17,6 +18,7 @@ from sculpt_framework.evaluation.pictures import (
     DIFFERENCE_SCALE,
     color_picture,
     difference_picture,
+    error_colors,
     normal_picture,
     png_data_uri,
 )
@@ -59,25 +61,75 @@ def run_dir(tmp_path: Path) -> Path:
     }
     (tmp_path / "metrics.json").write_text(json.dumps(metrics))
     (tmp_path / "config.json").write_text(json.dumps({"field": {"type": "hash-grid"}}))
-    started = {"event": "run_started", "data": {"scene": "jar", "device": "cpu", "notes": ["grey images"]}}
-    decided = {"event": "decision", "data": {"item": "initial surface", "value": "hull"}}
-    (tmp_path / "events.jsonl").write_text(f'{json.dumps(started)}\n{json.dumps(decided)}\n{{"event": "out')
+    about = {"scene": "jar", "device": "cpu", "notes": ["grey images"], "inputs": {"train images": "ab12"}}
+    events = [
+        {"t_train": 0.0, "t_wall": 3.0, "event": "run_started", "data": about},
+        {"t_train": 1.0, "t_wall": 4.0, "event": "decision", "data": {"item": "initial surface", "value": "hull"}},
+        {"t_train": 4.0, "t_wall": 9.0, "event": "evaluation", "data": {}},
+        {"t_train": 4.0, "t_wall": 9.5, "event": "checkpoint", "data": {}},
+        {"t_train": 6.0, "t_wall": 12.0, "event": "stage", "data": {}},
+    ]
+    (tmp_path / "events.jsonl").write_text("\n".join(map(json.dumps, events)) + '\n{"event": "out')
     return tmp_path
 
 
 def test_everything_is_in_the_page(run_dir: Path):
-    pictures = {"reference": np.zeros((4, 6, 3), np.uint8), "render": np.full((4, 6, 3), 255, np.uint8)}
+    black, white = np.zeros((4, 6, 3), np.uint8), np.full((4, 6, 3), 255, np.uint8)
+    pictures = {"Result": {"reference": black, "render": white}, "Before training": {"render": black}}
     page = Page(write_report(run_dir, pictures))
-    for fact in ("jar <1> · sculpting", "0.0025", "24.00 dB", "0.0123", "grey images", "hull", "hash-grid", "2.13"):
+    for fact in (
+        "jar <1> · sculpting",
+        "0.0025",
+        "24.00 dB",
+        "0.0123",
+        "grey images",
+        "hull",
+        "hash-grid",
+        "2.13",
+        "ab12",
+    ):
         assert fact in page.text
     for label in ("training time, s (logarithmic)", "dB", "scene units (log)", "degrees", "genus", "watertight"):
         assert label in page.text
-    assert [attributes["alt"] for tag, attributes in page.tags if tag == "img"] == ["reference", "render"]
+    assert [attributes["alt"] for tag, attributes in page.tags if tag == "img"] == ["reference", "render", "render"]
     assert "Not recorded" not in page.text
+    assert "There is no reference" not in page.text
+
+
+def test_it_says_where_the_time_went(run_dir: Path):
+    lines = Page(write_report(run_dir, {})).text.splitlines()
+    facts = dict(itertools.pairwise(lines))
+    assert facts["start and loading"] == "3.0 s, 25 %"
+    assert facts["training"] == "6.0 s, 50 %"
+    assert facts["measuring"] == "2.0 s, 17 %"
+    assert facts["saving checkpoints"] == "0.5 s, 4 %"
+    assert facts["compiling, pictures, viewing"] == "0.5 s, 4 %"
+
+
+def test_of_a_resumed_run_it_is_the_last_process(run_dir: Path):
+    again = {"t_train": 6.0, "t_wall": 2.0, "event": "run_started", "data": {"scene": "jar"}}
+    more = {"t_train": 8.0, "t_wall": 4.0, "event": "stage", "data": {}}
+    with open(run_dir / "events.jsonl", "a") as events:
+        events.write(f"\n{json.dumps(again)}\n{json.dumps(more)}\n")
+    lines = Page(write_report(run_dir, {})).text.splitlines()
+    facts = dict(itertools.pairwise(lines))
+    assert (facts["start and loading"], facts["training"]) == ("2.0 s, 50 %", "2.0 s, 50 %")
+
+
+def test_the_plan_is_shown_where_there_is_one(run_dir: Path):
+    assert "Plan" not in Page(write_report(run_dir, {})).text
+    decision = {"item": "octree", "value": False, "evidence": "thin < 1 px", "saves": "2 s", "override": "--octree"}
+    (run_dir / "plan.json").write_text(json.dumps({"decisions": [decision, {"item": "masks", "value": "alpha"}]}))
+    text = Page(write_report(run_dir, {})).text
+    for word in ("Plan", "evidence", "thin < 1 px", "--octree", "masks", "alpha"):
+        assert word in text
+    (run_dir / "plan.json").write_text("[")
+    with pytest.raises(DataError, match=r"plan\.json is not valid JSON"):
+        write_report(run_dir, {})
 
 
 def test_nothing_is_loaded_from_elsewhere(run_dir: Path):
-    page = Page(write_report(run_dir, {"render": np.zeros((2, 2, 3), np.uint8)}))
+    page = Page(write_report(run_dir, {"Result": {"render": np.zeros((2, 2, 3), np.uint8)}}))
     assert not {tag for tag, _ in page.tags} & {"script", "link", "iframe", "object"}
     sources = [attributes.get("src") or attributes.get("href") or "" for _, attributes in page.tags]
     assert all(source == "" or source.startswith("data:") for source in sources)
@@ -85,7 +137,12 @@ def test_nothing_is_loaded_from_elsewhere(run_dir: Path):
 
 def test_a_run_without_reference_says_what_is_not_known(run_dir: Path):
     (run_dir / "curve.csv").write_text(header_line() + row_line({"t_train_s": 1.0, "psnr": 20.0}))
-    assert "Chamfer distance to the reference: not known" in Page(write_report(run_dir, {})).text
+    metrics = json.loads((run_dir / "metrics.json").read_text())
+    metrics["final"]["chamfer_ps"] = None
+    (run_dir / "metrics.json").write_text(json.dumps(metrics))
+    text = Page(write_report(run_dir, {})).text
+    assert "Chamfer distance to the reference: not known" in text
+    assert "There is no reference mesh: how far the surface is from the true one is not known" in text
 
 
 def test_an_empty_run_directory_gives_a_page_too(tmp_path: Path):
@@ -107,6 +164,10 @@ def test_pictures():
     np.testing.assert_array_equal(difference_picture(same, same + DIFFERENCE_SCALE), [[[60, 10, 0]]])
     normals = normal_picture(np.array([[[0.0, 0, 1], [0, 0, 0], [-3, 0, 0]]]))
     np.testing.assert_array_equal(normals, [[[128, 128, 255], [255, 255, 255], [0, 128, 128]]])
+    errors = error_colors(np.array([0.0, 0.5, 1.0, 7.0]))
+    assert errors.min() >= 0
+    assert (np.diff(errors.sum(axis=1)) <= 0).all(), "more error is darker"
+    np.testing.assert_array_equal(errors[2], errors[3])
 
 
 def test_png_keeps_every_pixel():

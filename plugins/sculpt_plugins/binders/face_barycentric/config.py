@@ -14,15 +14,15 @@ class FaceBarycentricConfig(BinderConfig):
     gaussians_per_face: int = 1
     """K, 1 to 12."""
     scale: float = 0.6
-    """Start of the tangential standard deviations, as a share of the reference ellipse's radii."""
+    """Start of the tangential standard deviations, as a share of the reference radii; of those of an ellipse with the
+    K-th part of the area with the Steiner reference."""
     reference: Literal["steiner", "edges"] = "steiner"
     """Reference radii: the triangle's Steiner circumellipse, or half of two edges (paper, eq. 2)."""
     normal_scale: float = 1e-3
     """Standard deviation along the normal, the paper's epsilon, in object units."""
-    inset: float = 1.9
-    """Depth of the Gaussians below their face, in standard deviations of the screen's low-pass filter; 0: on the face
-    (paper). Opaque splats seen edge-on are as wide as the filter, and the outline of about four of them lies 1.9
-    standard deviations outside their centres (docs/choices.md)."""
+    fit_outline: bool = True
+    """Set Gaussians below their faces and end them at sharp bends, so that their outline is the mesh's
+    (docs/splat-surface.md); off: on the face (paper)."""
     opacity: Literal["fixed", "learnable"] = "fixed"
     """Fixed at theta (paper), or learned per Gaussian from there (ablation)."""
     theta: float = 0.99

@@ -13,6 +13,7 @@ from sculpt_framework.types import Scene
 # Choosing among the plug-ins of its own slot is all this one does, so it names them; by their configs, which are cheap.
 from sculpt_plugins.datasets.blender.config import BlenderConfig
 from sculpt_plugins.datasets.demo.config import DemoConfig
+from sculpt_plugins.datasets.omniobject3d.config import OmniObject3DConfig
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,6 +31,16 @@ LAYOUTS = (
         mark="transforms_train.json",
         recognises=lambda folder: (folder / "transforms_train.json").exists(),
         config=BlenderConfig(),
+    ),
+    Layout(
+        name="OmniObject3D",
+        mark="render/transforms.json",
+        # The folder "render" itself, too, but under no other name: transforms.json beside images is also nerfstudio's.
+        recognises=lambda folder: (
+            (folder / "render" / "transforms.json").is_file()
+            or (folder.name == "render" and (folder / "transforms.json").is_file())
+        ),
+        config=OmniObject3DConfig(),
     ),
 )
 

@@ -1,21 +1,13 @@
 """A scene folder in NeRF-Synthetic layout, read whole."""
 
-from collections.abc import Sequence
-from functools import partial
-
-import numpy as np
-import torch
-
 from sculpt_framework.datasets import Dataset
 from sculpt_framework.posed_images.box import fit_box
 from sculpt_framework.posed_images.folders import scene_folder
-from sculpt_framework.posed_images.views import PosedImage, load_views
-from sculpt_framework.types import Camera, Scene
+from sculpt_framework.posed_images.transforms import Frame, posed_images
+from sculpt_framework.posed_images.views import load_views
+from sculpt_framework.types import Scene
 from sculpt_plugins.datasets.blender.config import BlenderConfig
-from sculpt_plugins.datasets.blender.transforms import Frame, read_split
-
-# From OpenGL's camera axes (y up, z backward) to OpenCV's (y down, z forward).
-_OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
+from sculpt_plugins.datasets.blender.transforms import read_split
 
 
 class BlenderDataset(Dataset):
@@ -27,7 +19,7 @@ class BlenderDataset(Dataset):
         """Everything that can be checked without decoding an image is checked first."""
         train, notes = read_split(self.folder, "train")
         test, test_notes = self._test_split()
-        loaded = load_views(_posed(train), _posed(test), self.config.background)
+        loaded = load_views(posed_images(train), posed_images(test), self.config.background)
         box, box_note = fit_box(loaded.train)
         if len(loaded.train) <= 2:
             count = "one view" if len(loaded.train) == 1 else "two views"
@@ -50,25 +42,3 @@ class BlenderDataset(Dataset):
                     notes.append("no test split: the validation views are used for measuring.")
                 return frames, notes
         return [], ["no test split: nothing is measured on unseen views."]
-
-
-def _posed(frames: Sequence[Frame]) -> list[PosedImage]:
-    return [PosedImage(name=frame.name, path=frame.image, camera=partial(_camera, frame)) for frame in frames]
-
-
-def _camera(frame: Frame, width: int, height: int) -> Camera:
-    pinhole = frame.lens.at_size(width, height, frame.image)
-    # Rigid, so the inverse is exact to rounding; float64 throughout.
-    rotation, position = (frame.camera_to_world @ _OPENGL_TO_OPENCV)[:3, :3], frame.camera_to_world[:3, 3]
-    world_to_camera = np.eye(4)
-    world_to_camera[:3, :3] = rotation.T
-    world_to_camera[:3, 3] = -rotation.T @ position
-    return Camera(
-        world_to_camera=torch.from_numpy(world_to_camera),
-        fx=pinhole.fx,
-        fy=pinhole.fy,
-        cx=pinhole.cx,
-        cy=pinhole.cy,
-        width=width,
-        height=height,
-    )

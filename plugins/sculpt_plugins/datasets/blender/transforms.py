@@ -1,31 +1,10 @@
-"""transforms_SPLIT.json: parsed, checked against the folder, and turned into frames, before any image is decoded."""
+"""transforms_SPLIT.json of the NeRF-Synthetic layout."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
-
-import numpy as np
-from jaxtyping import Float64
+from pathlib import Path
 
 from sculpt_framework.errors import DataError
 from sculpt_framework.posed_images.folders import contents
-from sculpt_plugins.datasets.blender.lens import LENS_KEYS, Lens, read_lens
-from sculpt_plugins.datasets.blender.reading import nearest_key, number, read_json, required
-
-_EXTENSIONS = (".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG", ".webp", ".tif", ".tiff", ".bmp")
-# Matrices written with four decimals deviate from a rotation by 1e-4; what exceeds this is no rounding.
-_RIGID_TOLERANCE = 2e-3
-# Coordinates beyond this lose their digits in float32 wherever they are used later.
-_FARTHEST = 1e9
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Frame:
-    name: str
-    image: Path
-    camera_to_world: Float64[np.ndarray, "4 4"]
-    """Rigid; OpenGL axes."""
-    lens: Lens
+from sculpt_framework.posed_images.transforms import Frame, read_frames
 
 
 def read_split(folder: Path, split: str) -> tuple[list[Frame], list[str]]:
@@ -36,120 +15,7 @@ def read_split(folder: Path, split: str) -> tuple[list[Frame], list[str]]:
     path = folder / f"transforms_{split}.json"
     if not path.is_file():
         raise DataError(f"{folder}: no {path.name}; found {_contents(folder)}.")
-    document = read_json(path)
-    entries = required(document, "frames", str(path))
-    if not isinstance(entries, list):
-        raise DataError(f"{path}: 'frames' is not a list; expected one object per image.")
-    if not entries:
-        raise DataError(f"{path}: 'frames' is empty; expected one object per image.")
-    frames, scales = [], []
-    for index, entry in enumerate(entries):
-        where = f"{path}: frame {index}"
-        if not isinstance(entry, dict):
-            raise DataError(f"{where} is not an object; expected file_path and transform_matrix.")
-        frame, scale = _frame(folder, document, entry, where)
-        frames.append(frame)
-        scales.append(scale)
-    scaled = [scale for scale in scales if abs(scale - 1) > _RIGID_TOLERANCE]
-    notes = []
-    if scaled:
-        notes.append(
-            f"{len(scaled)} of {len(frames)} {split} cameras have a rotation scaled by {min(scaled):.3g} to "
-            f"{max(scaled):.3g}: the scale is taken out, positions stay."
-        )
-    return frames, notes
-
-
-def _frame(
-    folder: Path, document: Mapping[str, object], entry: Mapping[str, object], where: str
-) -> tuple[Frame, float]:
-    file_path = required(entry, "file_path", where)
-    if not isinstance(file_path, str) or not file_path.strip():
-        raise DataError(f"{where}: file_path is not a path; expected text such as ./train/r_0.")
-    where = f"{where} ({file_path})"
-    matrix, scale = _pose(required(entry, "transform_matrix", where), where)
-    merged = {**{k: v for k, v in document.items() if k != "frames"}, **entry}
-    lens = read_lens(_without_overruled(merged, entry), where)
-    relative = _inside(folder, file_path, where)
-    image = _find_image(folder, relative, where)
-    name = relative.as_posix()
-    return Frame(name=name.removesuffix(image.suffix), image=image, camera_to_world=matrix, lens=lens), scale
-
-
-def _without_overruled(merged: Mapping[str, object], entry: Mapping[str, object]) -> dict[str, object]:
-    """A frame's own angle overrules the file's focal length, and the other way round."""
-    overruled: set[str] = set()
-    if any(key.startswith("camera_angle") for key in entry):
-        overruled |= {key for key in LENS_KEYS if key.startswith("fl_") and key not in entry}
-    if any(key.startswith("fl_") for key in entry):
-        overruled |= {key for key in LENS_KEYS if key.startswith("camera_angle") and key not in entry}
-    return {key: value for key, value in merged.items() if key not in overruled}
-
-
-def _pose(value: object, where: str) -> tuple[Float64[np.ndarray, "4 4"], float]:
-    """A rigid camera-to-world matrix and the uniform scale that was taken out of its rotation."""
-    rows = value if isinstance(value, list) else []
-    if len(rows) not in (3, 4) or not all(isinstance(row, list) and len(row) == 4 for row in rows):
-        raise DataError(f"{where}: transform_matrix is not 4 rows of 4 numbers.")
-    matrix = np.eye(4)
-    for r, row in enumerate(rows):
-        for c, item in enumerate(row):
-            matrix[r, c] = number(item, f"{where}: transform_matrix[{r}][{c}]")
-    if np.abs(matrix[3] - (0, 0, 0, 1)).max() > _RIGID_TOLERANCE:
-        raise DataError(f"{where}: the last row of transform_matrix is {matrix[3].tolist()}; expected 0 0 0 1.")
-    largest = np.abs(matrix).max()
-    if largest > _FARTHEST:
-        raise DataError(f"{where}: transform_matrix holds {largest:.3g}; expected a camera near the object.")
-    left, sizes, right = np.linalg.svd(matrix[:3, :3])
-    if sizes[2] <= 1e-9 * max(sizes[0], 1e-300) or sizes[0] < 1e-9:
-        raise DataError(f"{where}: transform_matrix is singular; expected a camera-to-world matrix.")
-    if np.linalg.det(matrix[:3, :3]) < 0:
-        raise DataError(f"{where}: transform_matrix mirrors (determinant below 0); expected right-handed axes.")
-    scale = float(np.exp(np.log(sizes).mean()))
-    if np.abs(sizes / scale - 1).max() > _RIGID_TOLERANCE:
-        raise DataError(
-            f"{where}: transform_matrix stretches its axes by {sizes[0]:.3g}, {sizes[1]:.3g}, {sizes[2]:.3g}; "
-            "expected a rotation and a position."
-        )
-    matrix[:3, :3] = left @ right
-    matrix[3] = (0, 0, 0, 1)
-    return matrix, scale
-
-
-def _inside(folder: Path, file_path: str, where: str) -> PurePosixPath:
-    """``file_path`` relative to the folder. Links in the folder are the user's own and are followed."""
-    text = file_path.replace("\\", "/")
-    root = folder.absolute().as_posix()
-    if text.startswith(root + "/"):
-        text = text[len(root) + 1 :]
-    parts: list[str] = []
-    leaves = text.startswith("/") or text[1:2] == ":" or "\0" in text
-    for part in text.split("/"):
-        if part == "..":
-            leaves = leaves or not parts
-            parts = parts[:-1]
-        elif part not in ("", "."):
-            parts.append(part)
-    if leaves or not parts:
-        raise DataError(f"{where}: file_path leaves the data folder; expected a path inside {folder}.")
-    return PurePosixPath(*parts)
-
-
-def _find_image(folder: Path, relative: PurePosixPath, where: str) -> Path:
-    stem = folder / relative
-    try:
-        for path in (stem, *(stem.with_name(stem.name + extension) for extension in _EXTENSIONS)):
-            if path.is_file():
-                if path.stat().st_size == 0:
-                    raise DataError(f"{path}: the image file is empty; write it again.")
-                return path
-        beside = [path.name for path in stem.parent.iterdir()] if stem.parent.is_dir() else []
-    except OSError as error:
-        raise DataError(f"{where}: the image cannot be reached ({error.strerror}).") from None
-    close = nearest_key(stem.name, beside)
-    tried = stem.name if stem.suffix in _EXTENSIONS else f"{stem.name} with {', '.join(_EXTENSIONS[:3])}"
-    hint = f"; there is {close}" if close else "" if beside else f"; there is no folder {stem.parent}"
-    raise DataError(f"{where}: no such image in {stem.parent}; looked for {tried}{hint}.")
+    return read_frames(path, split)
 
 
 def _contents(folder: Path) -> str:

@@ -6,6 +6,7 @@ from torch import Tensor
 
 from sculpt_framework.geometry.band import LEAST_DROP, crossing_weight
 from sculpt_framework.geometry.faces import smallest_angles
+from sculpt_plugins.extractors.flexicubes.octree_topology import OctreeTopology
 from sculpt_plugins.extractors.flexicubes.topology import DualTopology
 
 PREFERRED_BY = 0.05
@@ -14,33 +15,40 @@ equal up to rounding, and the choice, which is part of the face's name, should n
 
 
 def dual_vertices(
-    topology: DualTopology,
+    topology: DualTopology | OctreeTopology,
     corner_positions: Float[Tensor, "n 3"],
     corner_sdf: Float[Tensor, " n"],
-    cell: float,
-    alpha: Float[Tensor, "c 8"] | None = None,
-    beta: Float[Tensor, "c 12"] | None = None,
+    cell: float | Float[Tensor, " e"],
+    alpha: Float[Tensor, "c a"] | None = None,
+    beta: Float[Tensor, "c b"] | None = None,
+    used: Int64[Tensor, " m"] | None = None,
 ) -> tuple[Float[Tensor, "d 3"], Float[Tensor, " d"]]:
     """Positions of the dual vertices, and of each the mean absolute deviation of its distances to its crossings.
 
     On every edge of its loop a cell sees the crossing u = (a_o x_i + a_i x_o) / (a_i + a_o), with a = alpha |sdf| at
     the inner and outer end; the vertex is the mean of these, weighted by beta. ``alpha`` and ``beta`` are positive and
-    1 where they are not given. Crossings and gradients stay finite where both ends are 0 (``crossing_weight``).
+    1 where they are not given; their columns are what ``cell_ends`` and ``cell_edge`` of the topology count. ``cell``
+    is the length of the edges. ``used`` names the places, of the 4 e of all edges, that count; default: all of them.
+    Crossings and gradients stay finite where both ends are 0 (``crossing_weight``).
     """
+    least = LEAST_DROP * (cell[:, None] if isinstance(cell, Tensor) else cell)
     ends = corner_positions.index_select(0, topology.ends.reshape(-1)).reshape(-1, 2, 3)
     reach = corner_sdf.index_select(0, topology.ends.reshape(-1)).reshape(-1, 1, 2).abs()
     if alpha is not None:
         reach = reach * _entries(alpha, topology.cells[..., None], topology.cell_ends)
-    weight = crossing_weight(reach[..., 0], reach[..., 1], LEAST_DROP * cell)
+    weight = crossing_weight(reach[..., 0], reach[..., 1], least)
     inner, outer = ends[:, None, 0], ends[:, None, 1]
     crossings = (inner + weight[..., None] * (outer - inner)).expand(-1, 4, 3).reshape(-1, 3)
 
     vertex = topology.vertices.reshape(-1)
-    if beta is None:
+    share = None if beta is None else _entries(beta, topology.cells, topology.cell_edge).reshape(-1)
+    if used is not None:
+        vertex, crossings = vertex[used], crossings.index_select(0, used)
+        share = None if share is None else share.index_select(0, used)
+    if share is None:
         total = torch.bincount(vertex, minlength=topology.vertex_count).to(crossings)
         summed = crossings.new_zeros(topology.vertex_count, 3).index_add(0, vertex, crossings)
     else:
-        share = _entries(beta, topology.cells, topology.cell_edge).reshape(-1)
         total = share.new_zeros(topology.vertex_count).index_add(0, vertex, share)
         summed = crossings.new_zeros(topology.vertex_count, 3).index_add(0, vertex, crossings * share[:, None])
     vertices = summed / total[:, None]

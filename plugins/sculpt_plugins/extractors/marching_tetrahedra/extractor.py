@@ -1,25 +1,33 @@
 """The ``marching-tetrahedra`` extractor."""
 
+from collections.abc import Sequence
+
 import torch
 from jaxtyping import Float, Int64
 from torch import Tensor
 
-from sculpt_framework.extractors import Extraction, Extractor, SdfFunction
+from sculpt_framework.extractors import Extraction, RefiningExtractor, SdfFunction
 from sculpt_framework.geometry.band import LEAST_DROP, Band, crossing_weight, track
-from sculpt_framework.geometry.grid import Grid, unpack_ijk
+from sculpt_framework.geometry.grid import Grid, RefineBox, unpack_ijk
+from sculpt_framework.geometry.octree import vertex_level
+from sculpt_framework.geometry.octree_band import grow_octree
+from sculpt_framework.geometry.octree_policy import coarsen, wanted_levels
 from sculpt_framework.keyed import KeyedTable
 from sculpt_framework.types import Surface
+from sculpt_plugins.extractors.marching_tetrahedra.octree import edge_lengths, march, split_leaves, with_centers
 from sculpt_plugins.extractors.marching_tetrahedra.tables import tetrahedra_tables
 
 
-class MarchingTetrahedra(Extractor):
+class MarchingTetrahedra(RefiningExtractor):
     """Linear interpolation in six tetrahedra per cell of the band; a vertex on every tetrahedron edge that crosses.
 
     The low 7 bits of a face key name the triangle within its cell: tetrahedron, signs of its corners, first or second.
+    Cells that smaller ones touch have more tetrahedra (``octree``).
     """
 
     def __init__(self, grid: Grid, dtype: torch.dtype):
         self._grid = grid
+        self._boxes: tuple[RefineBox, ...] = ()
         self._dtype = dtype
 
     @property
@@ -33,9 +41,45 @@ class MarchingTetrahedra(Extractor):
     def set_grid(self, grid: Grid) -> None:
         if grid.at_level(0) != self._grid.at_level(0):
             raise ValueError("set_grid changes the level of a grid, not its box")
+        wanted_levels(grid, self._boxes)
         self._grid = grid
 
+    def set_boxes(self, boxes: Sequence[RefineBox]) -> None:
+        wanted_levels(self._grid, boxes)
+        self._boxes = tuple(boxes)
+
     def extract(self, sdf: SdfFunction, seeds: Int64[Tensor, " s"]) -> Extraction:
+        return self._extract_in_boxes(sdf, seeds) if self._boxes else self._extract_on_grid(sdf, seeds)
+
+    def _extract_in_boxes(self, sdf: SdfFunction, seeds: Int64[Tensor, " s"]) -> Extraction:
+        finest = self._grid.at_level(vertex_level(self._grid))
+
+        def sample(vertices: Tensor) -> tuple[Tensor, Tensor]:
+            positions = finest.corner_positions(unpack_ijk(vertices), self._dtype)
+            return positions, sdf(positions)
+
+        wanted = wanted_levels(self._grid, self._boxes)
+        band = grow_octree(sample, self._grid, coarsen(self._grid, seeds, wanted), wanted)
+        keys, positions, values = with_centers(band, sample)
+        inside = values.detach() < 0
+        cut = march(band, split_leaves(band, inside), inside)
+        flat = cut.ends.reshape(-1)
+        edge_sdf = values.index_select(0, flat).reshape(-1, 2)
+        edge_positions = positions.index_select(0, flat).reshape(-1, 2, 3)
+        vertices = edge_crossings(edge_positions, edge_sdf, edge_lengths(keys, cut.ends, band))
+        return Extraction(
+            surface=Surface(vertices=vertices, faces=cut.faces, face_keys=cut.face_keys),
+            grid=self._grid,
+            cells=band.cells,
+            cell_corners=band.cell_corners,
+            corner_positions=positions,
+            corner_sdf=values,
+            edge_sdf=edge_sdf,
+            deviation=vertices.new_zeros(0),
+            cell_weights=None,
+        )
+
+    def _extract_on_grid(self, sdf: SdfFunction, seeds: Int64[Tensor, " s"]) -> Extraction:
         def sample(corners: Tensor) -> tuple[Tensor, Tensor]:
             positions = self._grid.corner_positions(unpack_ijk(corners), self._dtype)
             return positions, sdf(positions)
@@ -74,8 +118,10 @@ def crossed_edges(band: Band) -> tuple[Int64[Tensor, "v 2"], Int64[Tensor, "c 7"
     return torch.where(rising, ends, ends.flip(1)), torch.where(crossed, number, -1)
 
 
-def edge_crossings(positions: Float[Tensor, "v 2 3"], sdf: Float[Tensor, "v 2"], cell: float) -> Float[Tensor, "v 3"]:
-    """Zeros of the linear interpolants between the inner (first) and outer ends of edges."""
+def edge_crossings(
+    positions: Float[Tensor, "v 2 3"], sdf: Float[Tensor, "v 2"], cell: float | Float[Tensor, " v"]
+) -> Float[Tensor, "v 3"]:
+    """Zeros of the linear interpolants between the inner (first) and outer ends of edges of cells of side ``cell``."""
     weight = crossing_weight(sdf[:, 0].abs(), sdf[:, 1].abs(), LEAST_DROP * cell)
     return torch.lerp(positions[:, 0], positions[:, 1], weight[:, None])
 

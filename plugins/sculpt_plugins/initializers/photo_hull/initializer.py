@@ -46,9 +46,7 @@ class PhotoHull(Initializer):
         )
         maps = find_depths(packed, solid, options)
         if maps.known == 0.0:
-            why = (
-                "no views stand close enough to each other to compare their colours: start from the visual hull"
-            )
+            why = "no views stand close enough to each other to compare their colours: start from the visual hull"
             logging.getLogger("sculpt").info(why)
             return hull
         carved = carve(solid, packed, maps, config.margin * maps.step).interpolator(device)

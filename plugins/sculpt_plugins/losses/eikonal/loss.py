@@ -1,9 +1,11 @@
 """Gradient norm one (Gropp et al. 2020), from the very samples the extraction used."""
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from sculpt_framework.extractors import Extraction
+from sculpt_framework.geometry.band import levels_of
 from sculpt_framework.losses import GeometryLoss
 
 
@@ -20,6 +22,8 @@ class Eikonal(GeometryLoss):
         x = corners[:, 1::2].sum(dim=1) - corners[:, 0::2].sum(dim=1)
         y = corners[:, [2, 3, 6, 7]].sum(dim=1) - corners[:, [0, 1, 4, 5]].sum(dim=1)
         z = corners[:, 4:].sum(dim=1) - corners[:, :4].sum(dim=1)
-        squared = (x * x + y * y + z * z) / (4 * extraction.grid.cell) ** 2
+        # Cells of one extraction may differ in size.
+        sides = extraction.grid.base_cell * torch.pow(0.5, levels_of(extraction.cells).to(corners))
+        squared = (x * x + y * y + z * z) / (4 * sides) ** 2
         norm = (squared + 1e-12).sqrt()
         return (norm - 1).square().mean()

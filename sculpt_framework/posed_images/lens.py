@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sculpt_framework.errors import DataError
-from sculpt_plugins.datasets.blender.reading import nearest_key, number
+from sculpt_framework.posed_images.reading import nearest_key, number
 
 LENS_KEYS = ("camera_angle_x", "camera_angle_y", "fl_x", "fl_y", "cx", "cy", "w", "h")
 _DISTORTION_KEYS = ("k1", "k2", "k3", "k4", "p1", "p2")

@@ -1,0 +1,99 @@
+"""``sculpt-bench suite``: a method on a named set of scenes, beside the paper's table of them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from sculpt_framework.cli.ablate import check_counts, split_extra
+from sculpt_framework.errors import ConfigError
+
+PROGRAM = "sculpt-bench suite"
+Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SuiteRequest:
+    """Run methods on a set of scenes and print the results beside the paper's table.
+
+    Options of sculpt-train for all runs follow after --, as in: sculpt-bench suite demo -- --extractor
+    marching-tetrahedra
+    """
+
+    name: Annotated[Literal["demo", "blender", "omniobject3d"], tyro.conf.Positional]
+    """demo: the built-in scenes; blender: the paper's five of NeRF-Synthetic; omniobject3d: its twelve categories."""
+    folder: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
+    """Where the data of blender and omniobject3d are."""
+    methods: Annotated[tuple[str, ...], tyro.conf.arg(metavar="METHOD")] = ("gaussian-sculpting",)
+    """Methods to run."""
+    objects: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = ()
+    """Scenes, objects or categories to run instead of the suite's own."""
+    references: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
+    """blender: meshes called as the scenes are, for scenes that bring no gt_mesh.ply."""
+    seeds: Annotated[tuple[int, ...], tyro.conf.arg(metavar="N")] = (0,)
+    """Seeds, one run for each."""
+    max_time: Annotated[float | None, tyro.conf.arg(metavar="SECONDS", help_behavior_hint="")] = None
+    """Wall seconds for each run. Default: as many steps as the method says."""
+    outer_steps: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")] = None
+    """Outer steps for each run, instead of seconds."""
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
+    """Where runs and tables go. Default: outputs/suite-NAME. What has been run there is not run again."""
+    jobs: Annotated[int, tyro.conf.arg(metavar="N")] = 1
+    """Runs at a time. More than one disturb each other's clocks."""
+    retry_failed: Flag = False
+    """Run again what failed before; otherwise a failure is a result."""
+    show: Flag = False
+    """Run nothing; tables of what there is."""
+
+
+def suite(words: Sequence[str]) -> None:
+    """Run and print. Raises SculptError; exits as tyro does for ``--help`` and values of a wrong type."""
+    own, extra = split_extra(words)
+    request = tyro.cli(SuiteRequest, args=own, prog=PROGRAM)
+    _check(request)
+
+    from sculpt_framework.experiments.carry_out import carry_out
+    from sculpt_framework.experiments.plan import Budget, Setting, check_extra, config_of, cross
+    from sculpt_framework.experiments.results import results_csv
+    from sculpt_framework.experiments.suite_tables import notes, suite_tables
+    from sculpt_framework.experiments.suites import find_suite
+
+    check_extra(extra)
+    found = find_suite(request.name, request.folder, request.objects, request.references)
+    settings = [Setting(name=method, method=method) for method in request.methods]
+    for setting in settings:
+        config_of(setting, found.scenes[0], extra)
+    budget = None
+    if request.max_time is not None:
+        budget = Budget(kind="seconds", amount=request.max_time)
+    elif request.outer_steps is not None:
+        budget = Budget(kind="steps", amount=float(request.outer_steps))
+    title = f"Suite {request.name}"
+    plan = cross(title, settings, found.scenes, [budget], request.seeds, extra)
+    carry_out(
+        plan,
+        request.out or Path("outputs") / f"suite-{request.name}",
+        lambda results: (
+            suite_tables(results, found, request.methods),
+            notes(found),
+            results_csv(results, {}),
+        ),
+        asked=(*PROGRAM.split(), *words),
+        jobs=request.jobs,
+        retry_failed=request.retry_failed,
+        run=not request.show,
+    )
+
+
+def _check(request: SuiteRequest) -> None:
+    check_counts(request.seeds, request.jobs)
+    if not request.methods or len(set(request.methods)) < len(request.methods):
+        raise ConfigError(f"--methods {' '.join(request.methods)}: expected one or more, each once.")
+    if request.max_time is not None and request.outer_steps is not None:
+        raise ConfigError("--max-time and --outer-steps: expected one of the two.")
+    if request.max_time is not None and not 0 < request.max_time < float("inf"):
+        raise ConfigError(f"--max-time is {request.max_time}; expected seconds above 0.")
+    if request.outer_steps is not None and request.outer_steps < 1:
+        raise ConfigError(f"--outer-steps is {request.outer_steps}; expected 1 or more.")

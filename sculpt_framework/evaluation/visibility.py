@@ -1,0 +1,82 @@
+"""What of a reference the training cameras see, and distances over that part alone.
+
+No method can know a surface that no photograph shows. Distances over all of the surface, ours by default, count what it
+made up there; these leave it out, as some benchmarks do.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from sculpt_framework.evaluation.geometry import MeasuredMesh
+from sculpt_framework.evaluation.mesh import Mesh
+from sculpt_framework.types import Camera
+
+_SLACK = 1e-4
+"""Share of the bounding box's diagonal by which a ray may be blocked before its point and the point still be seen: a
+point on a face must not be hidden by the rounding of that face or of the one beside it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class VisibleDistances:
+    """Distances between a result A and the part of a reference B that is seen; scene units, N samples each way.
+
+    ``accuracy`` is the mean over A's samples whose nearest sample of B is seen, ``completeness`` over B's seen samples,
+    ``point_to_surface`` the mean of the two. Infinite where there is nothing to take a mean of.
+    """
+
+    point_to_surface: float
+    accuracy: float
+    completeness: float
+    seen_share: float
+    """Of the reference's area, in [0, 1], to the error of sampling."""
+
+
+def seen_by_any(surface: MeasuredMesh, cameras: Sequence[Camera]) -> Bool[np.ndarray, " n"]:
+    """Which of a surface's own samples at least one camera sees: in its image, in front of it, nothing in between.
+
+    Cameras are in the frame of the surface. The surface need not be closed or oriented.
+    """
+    points = surface.samples.points
+    seen = np.zeros(len(points), dtype=bool)
+    slack = _SLACK * surface.mesh.diagonal
+    for camera in cameras:
+        candidates = np.flatnonzero(~seen)
+        candidates = candidates[_in_image(points[candidates], camera)]
+        origin = camera.position.double().numpy()
+        ways = points[candidates] - origin
+        reached = surface.first_hits(np.broadcast_to(origin, ways.shape), ways) * np.linalg.norm(ways, axis=1)
+        seen[candidates] = reached >= np.linalg.norm(ways, axis=1) - slack
+    return seen
+
+
+def visible_distances(
+    result: Mesh, reference: MeasuredMesh, seen: Bool[np.ndarray, " n"], *, seed: int = 0
+) -> VisibleDistances:
+    """Measure ``result`` against the seen samples of ``reference``; it is sampled as ``chamfer`` does."""
+    share = float(seen.mean())
+    if not result.areas.sum() > 0 or not seen.any():
+        return VisibleDistances(point_to_surface=np.inf, accuracy=np.inf, completeness=np.inf, seen_share=share)
+    measured = MeasuredMesh(result, len(seen), seed + 1)
+    chosen = seen[reference.nearest_samples(measured.samples.points)]
+    there, _ = reference.squared_distances(measured.samples.points[chosen])
+    back, _ = measured.squared_distances(reference.samples.points[seen])
+    accuracy = float(np.sqrt(there).mean()) if chosen.any() else np.inf
+    completeness = float(np.sqrt(back).mean())
+    return VisibleDistances(
+        point_to_surface=0.5 * (accuracy + completeness),
+        accuracy=accuracy,
+        completeness=completeness,
+        seen_share=share,
+    )
+
+
+def _in_image(points: Float64[np.ndarray, "n 3"], camera: Camera) -> Bool[np.ndarray, " n"]:
+    pose = camera.world_to_camera.double().numpy()
+    local = points @ pose[:3, :3].T + pose[:3, 3]
+    depth = np.maximum(local[:, 2], 1e-12)
+    column, row = camera.fx * local[:, 0] / depth + camera.cx, camera.fy * local[:, 1] / depth + camera.cy
+    inside = (column >= 0) & (column <= camera.width) & (row >= 0) & (row <= camera.height)
+    return inside & (local[:, 2] > 0)

@@ -1,0 +1,81 @@
+"""From a plan to tables on disk and on the screen: what the commands that run experiments share."""
+
+import shlex
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from rich.console import Console
+
+from sculpt_framework.errors import ConfigError, TrainingFailed
+from sculpt_framework.experiments.board import ConsoleBoard
+from sculpt_framework.experiments.plan import Cell, Plan
+from sculpt_framework.experiments.results import CellResult, read_results
+from sculpt_framework.experiments.runner import run_plan
+from sculpt_framework.experiments.tables import Table
+from sculpt_framework.export.atomic import write_atomically
+
+Tables = Callable[[Sequence[CellResult]], tuple[list[Table], list[str], str]]
+"""Of results: the tables, the notes below them, and the text of results.csv."""
+
+
+def carry_out(
+    plan: Plan,
+    folder: Path,
+    tables: Tables,
+    *,
+    asked: Sequence[str],
+    jobs: int,
+    retry_failed: bool,
+    run: bool,
+) -> None:
+    """Run what has not been run (nothing without ``run``), then write results.csv and tables.md and print the tables.
+
+    ``asked`` is the command line this is done for; tables.md repeats it. Tables are written after an interrupt, too, of
+    what there is. Raises SculptError as the runner does, and TrainingFailed if every run failed.
+    """
+    if not run and not folder.is_dir():
+        raise ConfigError(f"--show: there is no experiment in {folder}; leave --show out to run it.")
+    console = Console()
+    board = ConsoleBoard(console, lambda cell: _result_line(plan, folder, cell), jobs)
+    try:
+        if run:
+            run_plan(plan, folder, board, jobs=jobs, retry_failed=retry_failed)
+    except KeyboardInterrupt:
+        board.close()
+        console.print("interrupted; the same command goes on", markup=False, highlight=False)
+        _write(folder, plan, tables, asked)
+        raise
+    finally:
+        board.close()
+    results, made, notes = _write(folder, plan, tables, asked)
+    for table in made:
+        table.show(console)
+    for note in notes:
+        console.print(note, markup=False, highlight=False, soft_wrap=True)
+    console.print(f"written: {folder / 'tables.md'}, {folder / 'results.csv'}", markup=False, highlight=False)
+    ended = [result.record for result in results if result.record is not None]
+    if run and ended and all(record.failed for record in ended):
+        raise TrainingFailed(f"all {len(ended)} runs failed; the first said: {ended[0].reason}")
+
+
+def _write(
+    folder: Path, plan: Plan, tables: Tables, asked: Sequence[str]
+) -> tuple[tuple[CellResult, ...], list[Table], list[str]]:
+    results = read_results(plan, folder)
+    made, notes, csv = tables(results)
+    parts = [f"# {plan.title}\n", f"    {shlex.join(asked)}\n", *(table.markdown() for table in made)]
+    parts.append("".join(f"- {note}\n" for note in notes))
+    write_atomically(folder / "results.csv", csv.encode())
+    write_atomically(folder / "tables.md", "\n".join(parts).encode())
+    return results, made, notes
+
+
+def _result_line(plan: Plan, folder: Path, cell: Cell) -> str:
+    """The result of a run that has just finished."""
+    one = Plan(title=plan.title, cells=(cell,), warm_ups={})
+    (result,) = read_results(one, folder)
+    if result.record is None:
+        return "finished"
+    chamfer, psnr = result.record.result("chamfer"), result.record.result("psnr")
+    parts = [f"Chamfer {chamfer:.5f}" if chamfer is not None else "", f"{psnr:.2f} dB" if psnr is not None else ""]
+    return ", ".join(part for part in parts if part) or "finished"

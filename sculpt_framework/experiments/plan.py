@@ -1,0 +1,264 @@
+"""A plan: which runs an experiment consists of, each as the command line it stands for."""
+
+import json
+import os
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from sculpt_framework.config import MethodConfig
+from sculpt_framework.engine.output import scene_name
+from sculpt_framework.errors import ConfigError, OutputError
+from sculpt_framework.export.atomic import write_atomically
+from sculpt_framework.export.json_text import json_text
+
+PLAN_NAME = "plan.json"
+PLAN_SCHEMA = 1
+PLANNED_OPTIONS = ("--data", "--output", "--seed", "--resume", "--max-time", "--trainer.outer-steps")
+"""What a plan sets itself, run by run."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Budget:
+    """What every run of a comparison is given alike."""
+
+    kind: str
+    """seconds: wall time from the start of the process to the saved mesh; steps: outer steps."""
+    amount: float
+
+    @property
+    def label(self) -> str:
+        return f"{self.amount:g}s" if self.kind == "seconds" else f"{self.amount:g}steps"
+
+    @property
+    def phrase(self) -> str:
+        return f"{self.amount:g} s" if self.kind == "seconds" else f"{self.amount:g} outer steps"
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        if self.kind == "seconds":
+            return ("--max-time", f"{self.amount:g}")
+        return ("--trainer.outer-steps", f"{self.amount:.0f}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Setting:
+    """One of the things that are compared."""
+
+    name: str
+    method: str
+    words: tuple[str, ...] = ()
+    """What it adds to the method's command line."""
+    replaces: tuple[str, ...] = ()
+    """Options that its words stand in for, or that belong to a component it leaves out: ``--field``, or with all that
+    begins so, ``--field.``. The words the user gave for all runs lose these."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlannedScene:
+    """A scene to run on."""
+
+    label: str
+    """Short name, unique in the plan."""
+    data: str
+    """As given to ``--data``: a demo name or the absolute path of a folder."""
+    words: tuple[str, ...] = ()
+    """What the scene adds to the command line, as ``--reference FILE``."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cell:
+    """One run."""
+
+    name: str
+    """Where the run goes below the experiment's folder, and what it is called: SCENE/BUDGET/SETTING/seed-N."""
+    scene: str
+    """Label of the scene."""
+    setting: str
+    """Name of the setting; cells of one scene, budget and setting differ by their seed."""
+    budget: Budget | None
+    """None: as many steps as the method says."""
+    seed: int
+    words: tuple[str, ...]
+    """Words for ``sculpt-train``, without ``--output``."""
+
+    @property
+    def timed(self) -> bool:
+        """The run is given wall seconds, so that going on with half of it would give it others than its rivals."""
+        return self.budget is not None and self.budget.kind == "seconds"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """What an experiment runs."""
+
+    title: str
+    cells: tuple[Cell, ...]
+    warm_ups: Mapping[str, tuple[str, ...]]
+    """Words of a short run of each scene, by its label, that is thrown away, so that no run that counts renders a demo
+    scene, reads files for the first time or compiles kernels."""
+
+
+def cross(
+    title: str,
+    settings: Sequence[Setting],
+    scenes: Sequence[PlannedScene],
+    budgets: Sequence[Budget | None],
+    seeds: Sequence[int],
+    extra: Sequence[str],
+) -> Plan:
+    """Every setting on every scene with every budget and seed. ``extra`` goes to all of them.
+
+    Cells come scene by scene, and within a scene all settings of a seed before the next seed, so that what there is
+    after an early end can be compared. Raises ConfigError where a command line would not be valid.
+    """
+    cells = tuple(
+        Cell(
+            name="/".join(
+                folder_name(part)
+                for part in (scene.label, budget.label if budget else "full", setting.name, f"seed-{seed}")
+            ),
+            scene=scene.label,
+            setting=setting.name,
+            budget=budget,
+            seed=seed,
+            words=(
+                *_start_of(setting, scene, extra),
+                *(budget.words if budget else ()),
+                *("--seed", str(seed)),
+            ),
+        )
+        for scene in scenes
+        for budget in budgets
+        for seed in seeds
+        for setting in settings
+    )
+    stages = len(config_of(settings[0], scenes[0], extra).trainer.stages)
+    short = _warm_up_words(stages)
+    warm_ups = {scene.label: (*_start_of(settings[0], scene, extra), *short) for scene in scenes}
+    return Plan(title=title, cells=cells, warm_ups=warm_ups)
+
+
+def config_of(setting: Setting, scene: PlannedScene, extra: Sequence[str]) -> MethodConfig:
+    """The config a setting stands for, found without torch. Raises ConfigError, naming the setting."""
+    from sculpt_framework.cli.train import parse
+
+    try:
+        return parse(_start_of(setting, scene, extra))
+    except ConfigError as error:
+        raise type(error)(f"{setting.name}: {error}") from error
+
+
+def _warm_up_words(stages: int) -> tuple[str, ...]:
+    """A step or so of every stage."""
+    words = ["--trainer.outer-steps", "4", "--trainer.fit-steps", "5", "--trainer.polish-steps", "2"]
+    for index in range(stages):
+        words += [f"--trainer.stages.{index}.inner-steps", "1", f"--trainer.stages.{index}.outer-views", "1"]
+    return tuple(words)
+
+
+def _start_of(setting: Setting, scene: PlannedScene, extra: Sequence[str]) -> tuple[str, ...]:
+    kept = without_options(extra, setting.replaces)
+    return (setting.method, "--data", scene.data, *scene.words, *kept, *setting.words)
+
+
+def without_options(words: Sequence[str], options: Sequence[str]) -> tuple[str, ...]:
+    """Words without some options and their values; an option that ends in a dot stands for all that begin with it."""
+    kept: list[str] = []
+    dropping = False
+    for word in words:
+        if word.startswith("--"):
+            option = word.partition("=")[0]
+            dropping = any(option.startswith(each) if each.endswith(".") else option == each for each in options)
+        if not dropping:
+            kept.append(word)
+    return tuple(kept)
+
+
+def planned_scenes(scenes: Sequence[str]) -> tuple[PlannedScene, ...]:
+    """Scenes as given to ``--data``, each with a short name; those that would be called the same get a number.
+
+    Raises ConfigError for none, for one that is given twice, and for one that is neither a folder nor a demo.
+    """
+    if not scenes:
+        raise ConfigError("no scenes to run; expected demo names or folders.")
+    found: dict[str, PlannedScene] = {}
+    for scene in scenes:
+        data = absolute_data(scene)
+        if data in (each.data for each in found.values()):
+            raise ConfigError(f"scene {scene} is given twice.")
+        plain = label = folder_name(scene_name(data))
+        number = 1
+        while label in found:
+            number += 1
+            label = f"{plain}-{number}"
+        found[label] = PlannedScene(label=label, data=data)
+    return tuple(found.values())
+
+
+def absolute_data(data: str) -> str:
+    """``--data`` so that it holds wherever the run is started from; names of demo scenes stay what they are.
+
+    Raises ConfigError if it is neither a demo's name nor a folder.
+    """
+    if data.partition(":")[0] == "demo":
+        return data
+    if not os.path.isdir(data):
+        raise ConfigError(f"scene {data}: no such folder; expected a scene folder, demo or demo:NAME.")
+    return os.path.abspath(data)
+
+
+def check_extra(extra: Sequence[str]) -> None:
+    """Raise ConfigError where the user's own words set what the plan sets run by run."""
+    for word in extra:
+        option = word.partition("=")[0].replace("_", "-")
+        if option in PLANNED_OPTIONS:
+            raise ConfigError(f"{option} cannot be given after --: it is what the runs of the plan differ in.")
+
+
+def remember(plan: Plan, folder: Path) -> None:
+    """Write the plan's cells beside those the folder knows already.
+
+    Raises ConfigError if a cell of the same name was planned there with other words: its results answer another
+    question. Raises OutputError where the folder cannot be written.
+    """
+    known = _known_cells(folder / PLAN_NAME)
+    for cell in plan.cells:
+        before = known.get(cell.name)
+        if before is not None and tuple(before["words"]) != cell.words:
+            raise ConfigError(
+                f"{folder} holds another experiment: {cell.name} was run there as 'sculpt-train "
+                f"{' '.join(before['words'])}'. Give another --out, or the options it was begun with."
+            )
+        known[cell.name] = {
+            "scene": cell.scene,
+            "setting": cell.setting,
+            "budget": cell.budget.label if cell.budget else None,
+            "seed": cell.seed,
+            "words": list(cell.words),
+        }
+    document = {"schema": PLAN_SCHEMA, "title": plan.title, "cells": known}
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"cannot write to {folder}: {error.strerror}; give another --out.") from error
+    write_atomically(folder / PLAN_NAME, (json_text(document, indent=1) + "\n").encode())
+
+
+def _known_cells(path: Path) -> dict[str, Any]:
+    if not path.exists():
+        return {}
+    try:
+        cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+        if all(isinstance(cell["words"], list) for cell in cells.values()):
+            return cells
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        pass
+    raise ConfigError(f"{path} is not the plan of an experiment; give another --out.")
+
+
+def folder_name(text: str) -> str:
+    """``text`` as part of a path."""
+    return re.sub(r"[^\w.+-]+", "-", text).strip("-.") or "setting"

@@ -1,0 +1,317 @@
+"""Carries out a plan: one process per run, as many at a time as asked, going on where an earlier call ended."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import FrameType
+
+from sculpt_framework.errors import OutputError
+from sculpt_framework.experiments.ledger import CellState, Ledger, only_one
+from sculpt_framework.experiments.plan import Cell, Plan, remember
+
+TRAIN = (sys.executable, "-c", "from sculpt_framework.cli.train import main; main()")
+"""``sculpt-train`` of this installation, whatever is first on the path."""
+RUNS = "runs"
+_POLL_SECONDS = 0.1
+_GRACE_SECONDS = 60.0
+"""How long an interrupted run may take to save."""
+_LOG_TAIL = 1 << 16
+_USER_ERROR = 2
+
+
+class Board(ABC):
+    """Is told what happens, to show it."""
+
+    @abstractmethod
+    def begin(self, waiting: Sequence[Cell], settled: Mapping[str, CellState]) -> None:
+        """What is to be run, in this order, and what was before."""
+
+    @abstractmethod
+    def warming_up(self, scene: str) -> None: ...
+
+    @abstractmethod
+    def warned(self, message: str) -> None: ...
+
+    @abstractmethod
+    def started(self, cell: Cell, resumed: bool) -> None: ...
+
+    @abstractmethod
+    def ended(self, cell: Cell, state: CellState) -> None: ...
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Attempt:
+    """A process at work on a cell."""
+
+    cell: Cell
+    process: subprocess.Popen[bytes]
+    log: Path
+    began: float
+    """``time.monotonic()``."""
+    resumed: bool
+
+
+def run_folder(folder: Path, cell: Cell) -> Path:
+    """The run directory of a cell."""
+    return folder / RUNS / cell.name
+
+
+def run_plan(
+    plan: Plan,
+    folder: Path,
+    board: Board,
+    *,
+    jobs: int = 1,
+    retry_failed: bool = False,
+    command: Sequence[str] | None = None,
+) -> dict[str, CellState]:
+    """Run every cell that has not ended yet, by ``command`` and the cell's words; returns what became of each.
+
+    A finished run is left as it is. One that was interrupted goes on from its checkpoint; if it is given wall seconds,
+    or cannot go on, what there is of it is renamed aside and it starts again. A run that failed is a result and stays
+    so, unless ``retry_failed``. A failure stops nothing else.
+
+    On KeyboardInterrupt (or SIGTERM, SIGHUP) the running processes are stopped, the ledger is true, and the interrupt
+    goes on to the caller. Raises ConfigError where the folder belongs to another plan or process, OutputError where it
+    cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"cannot write to {folder}: {error.strerror}; give another --out.") from error
+    with only_one(folder), _terminate_as_interrupt():
+        remember(plan, folder)
+        ledger = Ledger(folder)
+        settled = {cell.name: state for cell in plan.cells if (state := _settled(folder, cell, ledger, retry_failed))}
+        for name, state in settled.items():
+            if ledger.get(name) != state:
+                ledger.set(name, state)
+        waiting = deque(cell for cell in plan.cells if cell.name not in settled)
+        board.begin(tuple(waiting), settled)
+        command, environment = command or TRAIN, _environment(jobs)
+        for scene in dict.fromkeys(cell.scene for cell in waiting):
+            _warm_up(plan, scene, folder, board, command, environment)
+        _work_off(waiting, folder, ledger, board, jobs, command, environment)
+        return {cell.name: ledger.get(cell.name) for cell in plan.cells}
+
+
+def ended_as(run_dir: Path) -> str | None:
+    """How a run ended by its own account: finished, stopped or failed; None if it has not."""
+    try:
+        status = json.loads((run_dir / "metrics.json").read_text(encoding="utf-8"))["status"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    return status if isinstance(status, str) else None
+
+
+def _settled(folder: Path, cell: Cell, ledger: Ledger, retry_failed: bool) -> CellState | None:
+    """The state of a cell that need not run any more; None if it must."""
+    state = ledger.get(cell.name)
+    if ended_as(run_folder(folder, cell)) == "finished":
+        return replace(state, status="finished", error=None, exit_code=0)
+    return state if state.status == "failed" and not retry_failed else None
+
+
+def _work_off(
+    waiting: deque[Cell],
+    folder: Path,
+    ledger: Ledger,
+    board: Board,
+    jobs: int,
+    command: Sequence[str],
+    environment: Mapping[str, str],
+) -> None:
+    running: list[Attempt] = []
+    try:
+        while waiting or running:
+            while waiting and len(running) < jobs:
+                cell = waiting.popleft()
+                running.append(_start(cell, folder, ledger, command, environment))
+                board.started(cell, running[-1].resumed)
+            time.sleep(_POLL_SECONDS)
+            for attempt in [each for each in running if each.process.poll() is not None]:
+                running.remove(attempt)
+                if _must_start_again(attempt, folder):
+                    _set_aside(run_folder(folder, attempt.cell))
+                    board.warned(f"{attempt.cell.name} could not go on from its checkpoint; it starts again")
+                    waiting.appendleft(attempt.cell)
+                    continue
+                state = _judge(attempt, folder, ledger.get(attempt.cell.name))
+                ledger.set(attempt.cell.name, state)
+                board.ended(attempt.cell, state)
+    finally:
+        # Whatever ends this loop: no run goes on without a runner that would note its end.
+        _stop(running)
+        for attempt in running:
+            state = replace(ledger.get(attempt.cell.name), status="interrupted", seconds=_age(attempt))
+            ledger.set(attempt.cell.name, state)
+
+
+def _start(cell: Cell, folder: Path, ledger: Ledger, command: Sequence[str], environment: Mapping[str, str]) -> Attempt:
+    run_dir = run_folder(folder, cell)
+    resumed = False
+    if run_dir.exists():
+        stopped = ended_as(run_dir) in (None, "stopped")
+        resumed = not cell.timed and stopped and any((run_dir / "checkpoints").glob("*.safetensors"))
+        if not resumed:
+            _set_aside(run_dir)
+    words = ("--resume", str(run_dir)) if resumed else (*cell.words, "--output", str(run_dir))
+    state = ledger.get(cell.name)
+    ledger.set(cell.name, CellState(status="running", attempts=state.attempts + 1))
+    log = run_dir.with_name(f"{run_dir.name}.log")
+    began = time.monotonic()
+    return Attempt(
+        cell=cell, process=_process((*command, *words), log, environment), log=log, began=began, resumed=resumed
+    )
+
+
+def _process(command: Sequence[str], log: Path, environment: Mapping[str, str]) -> subprocess.Popen[bytes]:
+    """A process that writes into ``log``. A group of its own: a terminal's Ctrl-C reaches only us, and we decide."""
+    try:
+        log.parent.mkdir(parents=True, exist_ok=True)
+        with open(log, "wb") as output:
+            return subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                env=dict(environment),
+                process_group=0,
+            )
+    except OSError as error:
+        raise OutputError(f"cannot start a run with its log at {log}: {error.strerror}.") from error
+
+
+def _warm_up(
+    plan: Plan, scene: str, folder: Path, board: Board, command: Sequence[str], environment: Mapping[str, str]
+) -> None:
+    """Run the scene's warm-up and throw it away. Its failure is told and left to the runs to fail on."""
+    words = plan.warm_ups.get(scene)
+    if words is None:
+        return
+    board.warming_up(scene)
+    place = folder / "warm-up"
+    shutil.rmtree(place, ignore_errors=True)
+    log = folder / "warm-up.log"
+    process = _process((*command, *words, "--output", str(place)), log, environment)
+    try:
+        code = process.wait()
+    except BaseException:
+        process.kill()
+        process.wait()
+        raise
+    finally:
+        shutil.rmtree(place, ignore_errors=True)
+    if code != 0:
+        board.warned(f"the warm-up of {scene} failed: {last_error(log)}")
+    else:
+        log.unlink(missing_ok=True)
+
+
+def _must_start_again(attempt: Attempt, folder: Path) -> bool:
+    """A run that was refused when it should go on: its checkpoint is damaged or of another version."""
+    ended = ended_as(run_folder(folder, attempt.cell))
+    return attempt.resumed and attempt.process.returncode == _USER_ERROR and ended != "finished"
+
+
+def _judge(attempt: Attempt, folder: Path, before: CellState) -> CellState:
+    """The state of a cell whose process has ended."""
+    code, ended = attempt.process.returncode, ended_as(run_folder(folder, attempt.cell))
+    after = replace(before, seconds=_age(attempt), exit_code=code)
+    if ended == "finished" and code == 0:
+        return replace(after, status="finished", error=None)
+    if ended == "stopped" and code == 0:
+        return replace(after, status="interrupted", error="stopped from outside")
+    if ended is None and code == 0:
+        return replace(after, status="failed", error="it left no metrics.json; the observer recorder has to be there")
+    if code < 0:
+        return replace(after, status="failed", error=f"killed by {_signal_name(-code)}")
+    return replace(after, status="failed", error=last_error(attempt.log))
+
+
+def last_error(log: Path) -> str:
+    """The last thing a run said about its failure: its error line, else the last line there is."""
+    try:
+        with open(log, "rb") as file:
+            file.seek(max(0, log.stat().st_size - _LOG_TAIL))
+            lines = [line.strip() for line in file.read().decode("utf-8", "replace").splitlines() if line.strip()]
+    except OSError as error:
+        return f"no log ({error.strerror})"
+    said = [line.removeprefix("error: ") for line in lines if line.startswith("error: ")]
+    return (said or lines or ["it said nothing"])[-1]
+
+
+def _set_aside(run_dir: Path) -> None:
+    """Rename what there is of a run, so that it can start again and nothing is lost."""
+    number = 1
+    while (target := run_dir.with_name(f"{run_dir.name}.aside-{number}")).exists():
+        number += 1
+    run_dir.rename(target)
+
+
+def _stop(running: Sequence[Attempt]) -> None:
+    """End all processes; those that can go on later may save first. A second Ctrl-C ends them at once."""
+    for attempt in running:
+        attempt.process.send_signal(signal.SIGKILL if attempt.cell.timed else signal.SIGINT)
+    deadline = time.monotonic() + _GRACE_SECONDS
+    try:
+        for attempt in running:
+            attempt.process.wait(max(0.0, deadline - time.monotonic()))
+    except (subprocess.TimeoutExpired, KeyboardInterrupt):
+        for attempt in running:
+            attempt.process.kill()
+        for attempt in running:
+            attempt.process.wait()
+
+
+def _age(attempt: Attempt) -> float:
+    return round(time.monotonic() - attempt.began, 2)
+
+
+def _signal_name(number: int) -> str:
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return f"signal {number}"
+
+
+def _environment(jobs: int) -> dict[str, str]:
+    """This process's environment; several jobs share the cores between them unless the user has decided otherwise."""
+    environment = dict(os.environ)
+    if jobs > 1:
+        cores = len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
+        environment.setdefault("OMP_NUM_THREADS", str(max(1, cores // jobs)))
+    return environment
+
+
+@contextmanager
+def _terminate_as_interrupt() -> Iterator[None]:
+    """SIGTERM, and SIGHUP of a terminal that is closed, end as Ctrl-C does: the runs stopped and the ledger true.
+
+    What was ignored before (nohup) stays so.
+    """
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread():
+        yield  # Signals are for whoever runs us to decide about.
+        return
+    numbers = [n for n in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(n) is not signal.SIG_IGN]
+    previous = [(number, signal.signal(number, handle)) for number in numbers]
+    try:
+        yield
+    finally:
+        for number, handler in previous:
+            signal.signal(number, handler)

@@ -1,0 +1,99 @@
+"""Which cells an octree splits: how fine the surface is wanted where.
+
+Pure functions. The surface is wanted at one level, and finer in boxes; everything else is as coarse as balance allows.
+Before an extraction these say where surface may be (``refine``) and which of the cells it was in are finer than wanted
+(``coarsen``); the extraction makes the tree anew from those whose corners differ in sign (``octree_band.grow_octree``).
+Cells that the surface has left are merged by not being named, and what is split depends on the surface and the boxes,
+not on how they came about.
+"""
+
+from collections.abc import Sequence
+
+import torch
+from jaxtyping import Bool, Int64
+from torch import Tensor
+
+from sculpt_framework.extractors import SdfFunction
+from sculpt_framework.geometry.band import children, levels_of, parents
+from sculpt_framework.geometry.grid import Grid, RefineBox, unpack_ijk
+from sculpt_framework.geometry.octree import WantedLevels, vertex_level
+
+
+def wanted_levels(grid: Grid, boxes: Sequence[RefineBox] = ()) -> WantedLevels:
+    """The level of the grid, and in cells that a box reaches into as many levels more as the box says.
+
+    Raises ValueError where these are more levels than the grid has coordinates for.
+    """
+    finest = grid.level + max((box.levels for box in boxes), default=0)
+    if finest > vertex_level(grid):
+        raise ValueError(f"boxes ask for level {finest}, but the finest level of this grid is {vertex_level(grid)}")
+
+    def wanted(cells: Int64[Tensor, " n"]) -> Int64[Tensor, " n"]:
+        level = torch.full_like(cells, grid.level)
+        if boxes:
+            low, high = _extent(grid, cells)
+            for box in boxes:
+                reached = (high > low.new_tensor(box.minimum)) & (low < low.new_tensor(box.maximum))
+                level = torch.where(reached.all(dim=1), level.clamp(min=grid.level + box.levels), level)
+        return level
+
+    return wanted
+
+
+@torch.no_grad()
+def may_hold_surface(
+    sdf: SdfFunction,
+    grid: Grid,
+    cells: Int64[Tensor, " n"],
+    lipschitz: float = 1.0,
+    margin: float = 0.0,
+    points_per_call: int = 1 << 18,
+) -> Bool[Tensor, " n"]:
+    """Whether |sdf| at the centre of each cell, of any level, is within ``lipschitz`` * half its diagonal + ``margin``.
+
+    Where the sdf changes by no more than ``lipschitz`` per unit of length, a cell that fails has no surface.
+    """
+    low, high = _extent(grid, cells)
+    reach = lipschitz * 0.5 * torch.linalg.vector_norm(high - low, dim=1) + margin
+    centers = (0.5 * (low + high)).to(torch.get_default_dtype())
+    near = [sdf(part).abs() for part in centers.split(points_per_call)]
+    return torch.cat(near) <= reach if near else torch.zeros_like(cells, dtype=torch.bool)
+
+
+def refine(
+    sdf: SdfFunction,
+    grid: Grid,
+    cells: Int64[Tensor, " n"],
+    wanted: WantedLevels,
+    lipschitz: float = 1.0,
+    margin: float = 0.0,
+) -> Int64[Tensor, " m"]:
+    """Keys, ascending, of what the cells become when those that may hold surface are split to the wanted levels.
+
+    Children that cannot hold surface (``may_hold_surface``) are left out; cells that are fine enough stay.
+    """
+    done = []
+    while cells.shape[0] > 0:
+        coarse = levels_of(cells) < wanted(cells)
+        done.append(cells[~coarse])
+        cells = children(cells[coarse])
+        cells = cells[may_hold_surface(sdf, grid, cells, lipschitz, margin)]
+    return torch.cat(done).unique() if done else cells
+
+
+def coarsen(grid: Grid, cells: Int64[Tensor, " n"], wanted: WantedLevels) -> Int64[Tensor, " m"]:
+    """Keys, ascending, of the largest cells round the given ones that are fine enough; these stay if they are not."""
+    while True:
+        above = parents(cells)
+        enough = levels_of(cells) > grid.level
+        enough[enough.clone()] = levels_of(above[enough]) >= wanted(above[enough])
+        if not bool(enough.any()):
+            return cells.unique()
+        cells = torch.where(enough, above, cells)
+
+
+def _extent(grid: Grid, cells: Int64[Tensor, " n"]) -> tuple[Tensor, Tensor]:
+    """Lowest and highest corners "n 3" of cells of any level, in float64."""
+    side = grid.base_cell * torch.pow(0.5, levels_of(cells).double())[:, None]
+    low = torch.tensor(grid.origin, dtype=torch.float64, device=cells.device) + unpack_ijk(cells) * side
+    return low, low + side

@@ -1,0 +1,208 @@
+"""What a run says of itself: its clock, the digests of its input, its pictures, the same figures each time."""
+
+import hashlib
+import json
+import time
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from small_runs import TWO_STAGES, small_config, train
+
+from sculpt_framework.engine.clock import TrainingClock
+from sculpt_framework.engine.inputs import file_digest, input_digests
+from sculpt_framework.engine.pipeline import Pipeline
+from sculpt_framework.engine.run import run
+from sculpt_framework.engine.view_pictures import ERROR_LIMIT, face_errors
+from sculpt_framework.errors import DataError
+from sculpt_framework.evaluation.curve import read_curve
+from sculpt_framework.evaluation.geometry import MeasuredMesh
+from sculpt_framework.evaluation.mesh import Mesh, load_mesh
+from sculpt_framework.types import Box, Scene, Surface
+from sculpt_plugins.datasets.blender.config import BlenderConfig
+from sculpt_plugins.observers.recorder.config import RecorderConfig
+
+TIMES = ("t_train_s", "t_wall_s", "t_cpu_s", "rss_mb")
+
+
+# -- the clock -------------------------------------------------------------------------------------------------------
+
+
+class Time:
+    """A clock that goes when it is told to."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch):
+        self.seconds = 1000.0
+        monkeypatch.setattr(time, "monotonic", lambda: self.seconds)
+
+    def passes(self, seconds: float) -> None:
+        self.seconds += seconds
+
+
+def test_training_seconds_leave_out_pauses_and_idle_time(monkeypatch: pytest.MonkeyPatch):
+    now, compiled = Time(monkeypatch), [0.0]
+    clock = TrainingClock(started=now.seconds, idle=lambda: compiled[0])
+    now.passes(5)
+    clock.start()
+    now.passes(2)
+    with clock.pause():
+        now.passes(10)
+        # What is compiled while the clock stands still is not taken off twice.
+        compiled[0] += 4
+    now.passes(1)
+    compiled[0] += 0.5
+    assert clock.train_seconds == pytest.approx(2.5)
+    assert clock.wall_seconds == pytest.approx(18)
+    clock.stop()
+    now.passes(7)
+    assert clock.train_seconds == pytest.approx(2.5)
+    clock.go_on_from(30.0)
+    now.passes(1)
+    assert clock.train_seconds == pytest.approx(31)
+    assert clock.wall_seconds == pytest.approx(26)
+
+
+def test_time_spent_measuring_is_not_training(scene: Scene, monkeypatch: pytest.MonkeyPatch):
+    """Measuring is made slow; training seconds do not notice, wall seconds do."""
+    from sculpt_framework.engine import pipeline
+
+    original = pipeline.image_measures
+
+    def slow(*arguments: Any) -> Mapping[str, Any]:
+        time.sleep(0.25)
+        return original(*arguments)
+
+    monkeypatch.setattr(pipeline, "image_measures", slow)
+    events = train(small_config(outer_steps=2), scene).of("evaluation")
+    assert len(events) >= 3
+    trained, passed = (events[-1].t_train - events[0].t_train), (events[-1].t_wall - events[0].t_wall)
+    assert passed - trained > 0.25 * (len(events) - 1)
+    times = [(event.t_train, event.t_wall) for event in events]
+    assert times == sorted(times)
+
+
+# -- inputs ----------------------------------------------------------------------------------------------------------
+
+
+def test_digests_are_those_of_standard_tools(scene: Scene, scene_folder: Path):
+    digests = input_digests(scene, scene.reference_mesh)
+    assert set(digests) == {"train images", "test images", "cameras", "reference mesh"}
+    assert digests["reference mesh"] == hashlib.sha256((scene_folder / "gt_mesh.ply").read_bytes()).hexdigest()
+    files = [scene_folder / "train" / f"r_{index}.png" for index in range(11)]
+    column = "".join(hashlib.sha256(file.read_bytes()).hexdigest() + "\n" for file in files)
+    assert digests["train images"] == hashlib.sha256(column.encode()).hexdigest()
+
+
+def test_digests_notice_a_pixel_and_a_camera(scene: Scene):
+    bare = replace(scene, train=tuple(replace(view, source=None) for view in scene.train), test=())
+    before = input_digests(bare, None)
+    first, *rest = bare.train
+    rgb = first.rgb.clone()
+    rgb[0, 0, 0] += 1e-3
+    changed = input_digests(replace(bare, train=(replace(first, rgb=rgb), *rest)), None)
+    assert changed["cameras"] == before["cameras"]
+    assert changed["train images"] != before["train images"]
+    moved = replace(first, camera=replace(first.camera, cx=first.camera.cx + 1e-9))
+    changed = input_digests(replace(bare, train=(moved, *rest)), None)
+    assert changed["train images"] == before["train images"]
+    assert changed["cameras"] != before["cameras"]
+
+
+def test_a_file_that_is_gone_is_named(tmp_path: Path):
+    with pytest.raises(DataError, match=r"gone\.png: cannot be read any more"):
+        file_digest(tmp_path / "gone.png")
+
+
+# -- pictures --------------------------------------------------------------------------------------------------------
+
+
+def test_face_errors_are_distances_in_world_units():
+    """A triangle in the object frame of a box, above a large plate in the world."""
+    box = Box(minimum=torch.tensor([0.0, 0.0, 0.0]), maximum=torch.tensor([4.0, 4.0, 4.0]))
+    corners = np.array([[-9.0, -9, 1], [9, -9, 1], [9, 9, 1], [-9, 9, 1]])
+    plate = MeasuredMesh(Mesh(vertices=corners, faces=np.array([[0, 1, 2], [0, 2, 3]])), samples=10)
+    surface = Surface(
+        vertices=torch.tensor([[0.0, 0, 0], [0.1, 0, 0], [0, 0.1, 0]]),
+        faces=torch.tensor([[0, 1, 2]]),
+        face_keys=torch.tensor([1]),
+    )
+    errors = face_errors(surface, box, plate)
+    assert errors.limit == pytest.approx(ERROR_LIMIT * (18**2 * 2) ** 0.5)
+    # The object frame's origin is the box's centre, 2 above 0, and the plate is at 1.
+    assert errors.shares * errors.limit == pytest.approx(1.0)
+
+
+def test_pictures_are_of_the_result_and_of_the_start(scene: Scene):
+    pipeline = Pipeline(small_config(outer_steps=3), scene=scene)
+    pipeline.train()
+    pages = pipeline.pictures()
+    assert list(pages) == ["Result", "Before training"]
+    shape = scene.train[0].rgb.shape
+    names = [name.split(":")[0] for name in pages["Result"]]
+    assert names == [
+        "reference image (train/r_5)",
+        "rendering",
+        "difference from the reference image",
+        "normals, world frame",
+        "mesh error",
+    ]
+    assert all(picture.shape == shape for page in pages.values() for picture in page.values())
+    assert [*pages["Before training"]] == [*pages["Result"]][1:]
+    assert (pages["Before training"]["rendering"] != pages["Result"]["rendering"]).any()
+    bare = Pipeline(small_config(outer_steps=1), scene=replace(scene, reference_mesh=None))
+    bare.train()
+    assert not any(name.startswith("mesh error") for name in bare.pictures()["Result"])
+
+
+# -- whole runs ------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def twice(scene_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Two runs of the same config and seed."""
+    config = small_config(
+        data=str(scene_folder), dataset=BlenderConfig(), observers=(RecorderConfig(),), outer_steps=5, stages=TWO_STAGES
+    )
+    root = tmp_path_factory.mktemp("twice")
+    for name in ("one", "two"):
+        run(replace(config, output=root / name), resume=None, started=0.0)
+    return root / "one", root / "two"
+
+
+def test_the_same_seed_gives_the_same_metrics(twice: tuple[Path, Path]):
+    """All of metrics.json but for times and memory, and the mesh to the byte."""
+    found = []
+    for folder in twice:
+        metrics = json.loads((folder / "metrics.json").read_text())
+        for column in TIMES:
+            assert metrics["final"].pop(column) > 0
+        found.append((metrics, (folder / "mesh.ply").read_bytes()))
+    assert found[0] == found[1]
+
+
+def test_a_run_leaves_all_measures(twice: tuple[Path, Path]):
+    folder, _ = twice
+    metrics = json.loads((folder / "metrics.json").read_text())
+    final = metrics["final"]
+    for name in ("point_to_surface", "point_to_point", "point_to_surface_squared", "smallest_angle"):
+        assert final[name] > 0
+    assert final["point_to_point_floor"] < final["point_to_point"]
+    assert metrics["certificate"]["self_intersections"] is not None
+    assert load_mesh(folder / "mesh.ply").faces.shape[0] == final["faces"]
+    rows = read_curve(folder / "curve.csv")
+    for column in ("t_train_s", "t_wall_s", "t_cpu_s"):
+        times = [row[column] or 0.0 for row in rows]
+        assert times == sorted(times)
+
+
+def test_the_report_shows_what_was_measured(twice: tuple[Path, Path], scene_folder: Path):
+    page = (twice[0] / "report.html").read_text()
+    digest = input_digests(BlenderConfig().build(str(scene_folder)).load(), None)["train images"]
+    for text in ("Where the time went", "Before training", "mesh error", digest, "processor", "mean_radius_ratio"):
+        assert text in page
+    assert "Not recorded" not in page
+    assert "<h2>Plan</h2>" not in page

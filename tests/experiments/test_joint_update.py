@@ -1,0 +1,71 @@
+"""Without gradient isolation there is no inner loop, and the constraints on Gaussians act in the one step there is."""
+
+from collections.abc import Mapping
+
+import pytest
+import torch
+from torch import Tensor
+
+from sculpt_framework import registry
+from sculpt_framework.config import MethodConfig
+from sculpt_framework.demo_scenes.folder import DemoSettings, write_scene
+from sculpt_framework.demo_scenes.objects import demo_object
+from sculpt_framework.engine.assembly import build_parts
+from sculpt_framework.engine.images import prepare_image
+from sculpt_framework.geometry.band import discover
+from sculpt_framework.types import Scene
+from sculpt_plugins.binders.face_barycentric.config import FaceBarycentricConfig
+from sculpt_plugins.constraints.boundary.config import BoundaryConfig
+from sculpt_plugins.datasets.blender.config import BlenderConfig
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    folder = tmp_path_factory.mktemp("scene") / "blob"
+    write_scene(
+        demo_object("blob"), DemoSettings(train_views=4, test_views=0, resolution=32, reference_cells=16), folder
+    )
+    return BlenderConfig().build(str(folder)).load()
+
+
+def step(scene: Scene, isolated: bool, weight: float, silhouettes: bool = False) -> tuple[Mapping[str, float], Tensor]:
+    """The terms of one outer step, and the Gaussians' places after it."""
+    base = registry.load_method("gaussian-sculpting-tiny")()
+    changes = {"gradient_isolation": isolated, "base_cells": 10}
+    config = MethodConfig(
+        **{
+            **vars(base),
+            "trainer": type(base.trainer)(**{**vars(base.trainer), **changes}),
+            "binder": FaceBarycentricConfig(gaussians_per_face=3),
+            "constraints": (BoundaryConfig(weight=weight),),
+        }
+    )
+    parts = build_parts(config, scene.box, torch.Generator().manual_seed(0))
+    trainer = parts.trainer
+    trainer.seeds = discover(lambda x: trainer.field(x).sdf, trainer.extractor.grid, 0)
+    trainer.scene.blur = 0.01
+    images = [prepare_image(view, scene.box, 0.5, parts.device) for view in scene.train]
+    stage = config.trainer.stages[0]
+    stage = type(stage)(**{**vars(stage), "silhouette_only": silhouettes, "inner_steps": 0})
+    report = trainer.outer_step(images, stage, 1.0)
+    return report.terms, trainer.scene.geometry_rows.leaves["barycentric_logits"].detach()
+
+
+def test_constraints_count_where_there_is_no_inner_loop(scene: Scene):
+    terms, places = step(scene, isolated=False, weight=1.0)
+    assert terms["boundary"] == pytest.approx(float(boundary_at_start()), rel=1e-4)
+    free, unconstrained = step(scene, isolated=False, weight=0.0)
+    assert free["boundary"] == 0.0
+    assert not torch.equal(places, unconstrained)
+
+
+@pytest.mark.parametrize(("isolated", "silhouettes"), [(True, False), (False, True)])
+def test_and_nowhere_else_outside_of_it(isolated: bool, silhouettes: bool, scene: Scene):
+    terms, _ = step(scene, isolated=isolated, weight=1.0, silhouettes=silhouettes)
+    assert "boundary" not in terms
+
+
+def boundary_at_start() -> Tensor:
+    """The mean of exp(-10 a) over the table of places for three Gaussians: two thirds and twice a sixth."""
+    weights = torch.tensor([2 / 3, 1 / 6, 1 / 6])
+    return (-10 * weights).exp().mean()

@@ -1,0 +1,129 @@
+"""Which cells are split, and how few."""
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from octree_cases import box_grid, sampler
+
+from sculpt_framework.geometry.band import cells_at_level, discover, levels_of, parents
+from sculpt_framework.geometry.grid import Grid, RefineBox, grid_over_box, pack, unpack_ijk
+from sculpt_framework.geometry.octree import Octree, leaves, vertex_level
+from sculpt_framework.geometry.octree_band import grow_octree
+from sculpt_framework.geometry.octree_policy import (
+    coarsen,
+    may_hold_surface,
+    refine,
+    wanted_levels,
+)
+from sculpt_framework.testing import sphere_sdf, torus_sdf
+
+BOX = RefineBox(minimum=(0.3, -0.2, -0.2), maximum=(0.7, 0.2, 0.2), levels=2)
+
+
+def middle(grid: Grid, cells: torch.Tensor) -> torch.Tensor:
+    side = grid.base_cell * 0.5 ** levels_of(cells)[:, None]
+    return torch.tensor(grid.origin) + (unpack_ijk(cells) + 0.5) * side
+
+
+def test_boxes_ask_for_finer_levels_where_they_reach_into_a_cell():
+    grid = box_grid((4, 4, 4), level=1)  # Cells of 1/4.
+    wanted = wanted_levels(grid, [BOX, RefineBox(minimum=(-0.9, -0.9, -0.9), maximum=(0.35, 0.0, 0.0), levels=1)])
+    cells = pack(1, torch.tensor([[5, 4, 4], [4, 4, 4], [7, 7, 7], [0, 0, 0], [5, 3, 3], [5, 2, 3]]))
+    assert wanted(cells).tolist() == [3, 1, 1, 2, 3, 2]
+    assert wanted_levels(grid)(cells).tolist() == [1] * 6
+    fine = cells_at_level(cells[:1], 2)
+    inside = ((middle(grid, fine) - 0.5 * 0.0625 < torch.tensor(BOX.maximum)).all(dim=1)) & (
+        (middle(grid, fine) + 0.5 * 0.0625 > torch.tensor(BOX.minimum)).all(dim=1)
+    )
+    assert torch.equal(wanted(fine) == 3, inside)
+
+
+def test_too_many_levels_are_refused():
+    grid = box_grid((4, 4, 4), level=vertex_level(box_grid((4, 4, 4))) - 1)
+    with pytest.raises(ValueError, match="the finest level of this grid is"):
+        wanted_levels(grid, [BOX])
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 2**31))
+def test_no_cell_with_surface_is_lost(seed):
+    random = np.random.default_rng(seed)
+    grid = box_grid((6, 6, 6))
+    center = tuple(random.uniform(-0.3, 0.3, size=3))
+    sdf = sphere_sdf(float(random.uniform(0.05, 0.5)), center)
+    wanted = wanted_levels(grid, [BOX])
+    roots = leaves(Octree(grid=grid, split_cells=pack(0, torch.zeros(0, 3, dtype=torch.int64))))
+    cells = refine(sdf, grid, roots[may_hold_surface(sdf, grid, roots)], wanted)
+    assert bool((levels_of(cells) >= wanted(cells)).all())
+    every = cells_at_level(roots, 2)
+    sdf_there = sdf(middle(grid, every).float())
+    touching = every[sdf_there.abs() <= 0.5 * grid.at_level(2).cell]
+    held = torch.zeros_like(touching, dtype=torch.bool)
+    for ancestor in (touching, parents(touching), parents(parents(touching))):
+        held |= torch.isin(ancestor, cells)
+    assert bool(held.all())
+    assert bool(may_hold_surface(sdf, grid, cells).all())
+
+
+def test_refining_costs_what_the_surface_costs():
+    sizes = []
+    for level in range(3):
+        grid = grid_over_box(torch.ones(3), cells=16, level=level)
+        seeds = discover(torus_sdf(), grid, 0)
+        fine = grid.at_level(level + 2)
+        # As if a box held everything.
+        all_over = [RefineBox(minimum=(-2.0, -2.0, -2.0), maximum=(2.0, 2.0, 2.0), levels=2)]
+        cells = refine(torus_sdf(), grid, seeds, wanted_levels(grid, all_over))
+        assert torch.equal(cells, discover(torus_sdf(), fine, 0))
+        sizes.append(len(cells))
+    assert sizes[1] / sizes[0] == pytest.approx(4, rel=0.1)
+    assert sizes[2] / sizes[1] == pytest.approx(4, rel=0.1)
+
+
+def test_a_tree_is_fine_at_the_surface_in_the_box_and_coarse_elsewhere():
+    grid = grid_over_box(torch.ones(3), cells=20)
+    sdf = sphere_sdf(0.61)
+    band = grow_octree(sampler(sdf, grid), grid, discover(sdf, grid, 0), wanted_levels(grid, [BOX]))
+    found = leaves(band.tree)
+    assert bool(torch.isin(band.cells, found).all())
+    apart = (middle(grid, found) - torch.tensor([0.5, 0.0, 0.0])).abs()
+    far_from_box = (apart > 0.2 + 2.1 * grid.cell).any(dim=1)
+    assert bool((levels_of(found[far_from_box]) == 0).all())
+    in_box = (apart < 0.2).all(dim=1)
+    surface = torch.isin(found, band.cells)
+    assert bool((levels_of(found[in_box & surface]) == 2).all())
+    assert float(sdf(middle(grid, found[levels_of(found) == 2]).float()).abs().max()) < 1.8 * grid.cell
+
+
+def test_the_surface_is_split_as_it_moves_and_merged_where_it_left():
+    grid = grid_over_box(torch.ones(3), cells=20)
+    wanted = wanted_levels(grid, [BOX])
+    cells = discover(sphere_sdf(0.45), grid, 0)
+    for radius in np.linspace(0.45, 0.85, 9):  # Through the box and out of it.
+        sdf = sphere_sdf(float(radius))
+        band = grow_octree(sampler(sdf, grid), grid, coarsen(grid, cells, wanted), wanted)
+        assert bool((levels_of(band.cells) >= wanted(band.cells)).all())
+        # What comes out does not depend on where the surface was before, nor on how it was found.
+        fresh = refine(sdf, grid, discover(sdf, grid, 0), wanted)
+        for seeds in (fresh, coarsen(grid, band.cells, wanted), band.cells[:1]):
+            again = grow_octree(sampler(sdf, grid), grid, coarsen(grid, seeds, wanted), wanted)
+            assert torch.equal(band.cells, again.cells)
+            assert torch.equal(band.tree.split_cells, again.tree.split_cells)
+        cells = band.cells
+    assert bool((levels_of(cells) == 0).all())
+
+
+def test_coarsening_gives_the_largest_cells_that_are_fine_enough():
+    grid = box_grid((4, 4, 4))
+    wanted = wanted_levels(grid, [RefineBox(minimum=(-1.0, -1.0, -1.0), maximum=(-0.4, 1.0, 1.0), levels=2)])
+    deep = cells_at_level(pack(0, torch.tensor([[0, 1, 1], [1, 1, 1], [3, 2, 2]])), 3)
+    cells = coarsen(grid, deep, wanted)
+    assert torch.equal(cells, cells.unique())
+    assert bool((levels_of(cells) >= wanted(cells)).all())
+    above = parents(cells[levels_of(cells) > 0])
+    assert bool((levels_of(above) < wanted(above)).all())
+    assert torch.bincount(levels_of(cells)).tolist() == [1, 4, 64 + 32]
+    coarse = pack(0, torch.tensor([[0, 1, 1]]))
+    assert torch.equal(coarsen(grid, coarse, wanted), coarse)

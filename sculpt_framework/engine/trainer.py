@@ -124,8 +124,9 @@ class BiLevelTrainer:
             for constraint in self._objectives.constraints:
                 term = constraint.weight * constraint.term(binding)
                 terms[constraint.name] = float(term.detach())
-                roots.append(term)
-                gradients.append(torch.ones_like(term))
+                if term.requires_grad:
+                    roots.append(term)
+                    gradients.append(torch.ones_like(term))
         loss = sum(terms.values())
         self._check_finite(loss)
         # One walk through extraction and field for all terms together: it costs as much as a render.

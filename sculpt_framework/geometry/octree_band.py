@@ -21,6 +21,7 @@ from sculpt_framework.geometry.band import (
     cases_of,
     find,
     levels_of,
+    parents,
     sample_corners,
 )
 from sculpt_framework.geometry.grid import Grid, pack, unpack_ijk
@@ -115,22 +116,32 @@ def track_octree(
 def grow_octree(
     sample: CornerSampler, grid: Grid, seeds: Int64[Tensor, " s"], wanted_levels: WantedLevels
 ) -> OctreeBand:
-    """``track_octree`` from those seeds whose corners differ in sign, on the smallest tree that has them.
+    """``track_octree`` from the seeds that have surface, on the smallest tree that has them.
 
-    So the tree too depends on the surface and on what is wanted, and not on cells named without need.
+    So the tree too depends on the surface and on what is wanted, and not on cells named without need. A seed has
+    surface if its corners differ in sign, or failing that, those of the root it lies in.
     """
     samples = _Samples(sample, grid, seeds.device)
-    corners = samples.take(corner_keys(grid, seeds))
-    cases = cases_of(samples.inside[corners])
-    met = seeds[(cases > 0) & (cases < 255)]
-    if met.shape[0] == 0:
+    met = samples.differ(corner_keys(grid, seeds))
+    tree = tree_around(grid, seeds[met])
+    roots = seeds[~met]
+    while bool((deeper := levels_of(roots) > grid.level).any()):
+        roots = torch.where(deeper, parents(roots), roots)
+    roots = roots.unique()
+    roots = roots[~tree.is_split(roots)]
+    cells = torch.cat([seeds[met], roots[samples.differ(corner_keys(grid, roots))]])
+    if cells.shape[0] == 0:
         raise EmptySurfaceError(f"the signed distance has one sign at the corners of all {len(seeds)} cells tried")
-    return _settle(samples, tree_around(grid, met), met, wanted_levels)
+    return _settle(samples, tree, cells, wanted_levels)
 
 
 def _settle(samples: "_Samples", tree: Octree, cells: Int64[Tensor, " s"], wanted_levels: WantedLevels) -> OctreeBand:
     """Splitting shows more of the surface, which may ask for more splitting. What a leaf has shown remains, so the
     outcome does not depend on the order."""
+    if bool((levels_of(cells) < tree.grid.level).any()):
+        raise ValueError(
+            f"seeds belong to coarser levels than the grid's {tree.grid.level}; use children() to refine them"
+        )
     while True:
         look = _follow(samples, tree, leaves_at(tree, cells))
         unfit = levels_of(look.cells) < wanted_levels(look.cells)
@@ -180,6 +191,12 @@ class _Samples:
             self._number = torch.cat([self._number, number])[order]
             self.inside = torch.cat([self.inside, value.detach() < 0])
         return self._number[find(self._known, wanted)[0]][rows]
+
+    def differ(self, keys: Int64[Tensor, "c 8"]) -> Bool[Tensor, " c"]:
+        """Whether not all of a cell's corners, which are sampled, have one sign."""
+        number = self.take(keys)
+        inside = self.inside[number]
+        return inside.any(dim=1) & ~inside.all(dim=1)
 
     def ordered(
         self, used: Bool[Tensor, " n"]

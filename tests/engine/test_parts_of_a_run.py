@@ -152,7 +152,9 @@ def test_a_result_is_in_world_frame_without_specks(ball: tuple[GaussianScene, Su
     np.testing.assert_allclose(result.colors, np.tile([0.8, 0.4, 0.2], (len(result.vertices), 1)), atol=1e-5)
     corners = result.vertices[result.faces[result.gaussians.face.numpy()]]
     distance = np.linalg.norm(result.gaussians.means.numpy() - corners.mean(axis=1), axis=1)
-    assert (distance < np.linalg.norm(corners - corners.mean(axis=1, keepdims=True), axis=2).max(axis=1) + 1e-6).all()
+    radius = np.linalg.norm(corners - corners.mean(axis=1, keepdims=True), axis=2).max(axis=1)
+    # Set in below its face by less than a quarter of a cell.
+    assert (distance < radius + 0.05).all()
 
 
 def test_principal_axes_keep_covariance_and_normal(ball: tuple[GaussianScene, Surface]):

@@ -16,6 +16,7 @@ from sculpt_framework.geometry.band import discover
 from sculpt_framework.types import Scene
 from sculpt_plugins.binders.face_barycentric.config import FaceBarycentricConfig
 from sculpt_plugins.constraints.boundary.config import BoundaryConfig
+from sculpt_plugins.constraints.spacing.config import SpacingConfig
 from sculpt_plugins.datasets.blender.config import BlenderConfig
 
 
@@ -28,7 +29,9 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     return BlenderConfig().build(str(folder)).load()
 
 
-def step(scene: Scene, isolated: bool, weight: float, silhouettes: bool = False) -> tuple[Mapping[str, float], Tensor]:
+def step(
+    scene: Scene, isolated: bool, weight: float, silhouettes: bool = False, per_face: int = 3
+) -> tuple[Mapping[str, float], Tensor]:
     """The terms of one outer step, and the Gaussians' places after it."""
     base = registry.load_method("gaussian-sculpting-tiny")()
     changes = {"gradient_isolation": isolated, "base_cells": 10}
@@ -36,8 +39,8 @@ def step(scene: Scene, isolated: bool, weight: float, silhouettes: bool = False)
         **{
             **vars(base),
             "trainer": type(base.trainer)(**{**vars(base.trainer), **changes}),
-            "binder": FaceBarycentricConfig(gaussians_per_face=3),
-            "constraints": (BoundaryConfig(weight=weight),),
+            "binder": FaceBarycentricConfig(gaussians_per_face=per_face),
+            "constraints": (BoundaryConfig(weight=weight), SpacingConfig()),
         }
     )
     parts = build_parts(config, scene.box, torch.Generator().manual_seed(0))
@@ -57,6 +60,12 @@ def test_constraints_count_where_there_is_no_inner_loop(scene: Scene):
     free, unconstrained = step(scene, isolated=False, weight=0.0)
     assert free["boundary"] == 0.0
     assert not torch.equal(places, unconstrained)
+
+
+def test_a_constraint_that_has_nothing_to_say_is_no_obstacle(scene: Scene):
+    """With one Gaussian per face its spacing is a constant, without a gradient."""
+    terms, _ = step(scene, isolated=False, weight=1.0, per_face=1)
+    assert terms["spacing"] == 0.0
 
 
 @pytest.mark.parametrize(("isolated", "silhouettes"), [(True, False), (False, True)])

@@ -15,7 +15,8 @@ def test_one_case_as_json(capsys: pytest.CaptureFixture[str]):
     (row,) = result["rows"]
     assert row["faces"] > row["cells"] > 4000
     assert 0 < row["extract_ms"] < row["step_ms"]
-    assert 0 < row["step_mb"] < row["peak_mb"]
+    # What the kernel has already given the process is not given again: a small step may need no more.
+    assert 0 <= row["step_mb"] < row["peak_mb"]
     assert result["exponents"] == [
         {"way": "flexicubes-octree", "extract_ms": None, "step_ms": None, "cpu_ms": None, "step_mb": None}
     ]

@@ -94,6 +94,28 @@ def test_extremes_with_boxes(config: ExtractorConfig):
     assert bool(torch.isfinite(slope).all())
 
 
+def test_surface_that_moved_out_of_its_cells_is_found_again():
+    grid = unit_grid(10)
+    box = RefineBox(minimum=(0.1, -0.4, -0.4), maximum=(0.9, 0.4, 0.4), levels=3)
+    extractor = CONFIGS["diagonal"].build(grid, CPU)
+    assert isinstance(extractor, RefiningExtractor)
+    extractor.set_boxes([box])
+    # A ball of its own, all within the box, grows by more than two of its cells.
+    before, after = sphere_sdf(0.2, (0.45, 0.0, 0.0)), sphere_sdf(0.26, (0.45, 0.0, 0.0))
+    cells = extractor.extract(before, discover(before, grid, 0)).cells
+    assert bool((levels_of(cells) == 3).all())
+    found = extractor.extract(after, cells)
+    check_extraction(found)
+    direct = extractor.extract(after, discover(after, grid, 0))
+    assert torch.equal(found.cells, direct.cells)
+    far = sphere_sdf(0.04, (0.45, 0.0, 0.0))  # Within one root, and off all seeds.
+    with pytest.raises(EmptySurfaceError):
+        extractor.extract(far, cells)
+    extractor.set_grid(grid.at_level(1))
+    with pytest.raises(ValueError, match="coarser levels"):
+        extractor.extract(before, cells_at_level(cells, -3))
+
+
 @pytest.mark.parametrize("name", ["diagonal", "tetrahedra"])
 def test_outside_the_boxes_the_surface_is_the_plain_one(name: str):
     grid = unit_grid(32)
@@ -105,8 +127,8 @@ def test_outside_the_boxes_the_surface_is_the_plain_one(name: str):
     place = plain.vertices[plain.faces]
     reach = torch.zeros(len(place), dtype=torch.bool)
     for box in BOXES:
-        # The cells a box reaches into, a ring for each level but the first for the sake of balance, one where a crossing
-        # is hidden, and one of cells that touch finer ones.
+        # The cells a box reaches into, a ring for each level but the first for the sake of balance, one where a
+        # crossing is hidden, and one of cells that touch finer ones.
         slack = (box.levels + 2) * grid.cell
         near = (place > torch.tensor(box.minimum) - slack) & (place < torch.tensor(box.maximum) + slack)
         reach |= near.all(dim=2).any(dim=1)

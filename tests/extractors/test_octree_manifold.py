@@ -74,7 +74,7 @@ def test_very_many_random_fields_on_random_trees(seed, shape, depth, field, spli
     check_enumerated(*check_case(seed, shape, depth, field, split), split)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(**CASES)
 def test_no_face_is_missing_or_doubled(seed, shape, depth, field, split):
     check_enumerated(*check_case(seed, shape, depth, field, split), split)

@@ -50,7 +50,7 @@ def surface_of(band: OctreeBand, keys: Tensor, positions: Tensor, values: Tensor
     return Surface(vertices=vertices, faces=cut.faces, face_keys=cut.face_keys)
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(
     seed=st.integers(0, 2**31),
     shape=st.tuples(*[st.integers(2, 4)] * 3),

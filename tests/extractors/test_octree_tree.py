@@ -37,7 +37,7 @@ def make(seed: int, shape: tuple[int, int, int], depth: int = 3, level: int = 0)
     return random_tree(box_grid(shape, level), np.random.default_rng(seed), depth)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(seed=st.integers(0, 2**31), shape=SHAPES, level=st.integers(0, 1))
 def test_leaves_fill_the_grid_and_are_balanced(seed, shape, level):
     tree = make(seed, shape, depth=3, level=level)
@@ -60,7 +60,7 @@ def test_leaves_fill_the_grid_and_are_balanced(seed, shape, level):
         assert (np.maximum(here, there) <= 2 * np.minimum(here, there)).all()
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(seed=st.integers(0, 2**31), shape=SHAPES)
 def test_splitting_splits_no_more_than_it_must(seed, shape):
     tree = make(seed, shape)
@@ -77,7 +77,7 @@ def test_splitting_splits_no_more_than_it_must(seed, shape):
     assert torch.equal(split(finer, chosen).split_cells, finer.split_cells)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(seed=st.integers(0, 2**31), shape=SHAPES)
 def test_merging_undoes_what_balance_does_not_need(seed, shape):
     tree = make(seed, shape)
@@ -92,7 +92,7 @@ def test_merging_undoes_what_balance_does_not_need(seed, shape):
     assert tree.finest_level == tree.grid.level
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(seed=st.integers(0, 2**31), shape=SHAPES)
 def test_every_cell_finds_its_leaf(seed, shape):
     tree = make(seed, shape)

@@ -42,7 +42,7 @@ def picture(rows: Sequence[Row]) -> Drawing:
     ways = list(dict.fromkeys(row["way"] for row in rows))
     x = Axis(label="cells along the longest side", log=True)
     panels, colors = [], {}
-    for name, label in (("cpu_ms", "CPU time of a step, ms"), ("step_mb", "memory of a step, MB")):
+    for title, name, label in (("Time", "cpu_ms", "CPU time, ms"), ("Memory", "step_mb", "memory, MB")):
         series = [
             Series(name=way, points=[(row["resolution"], row[name]) for row in rows if row["way"] == way])
             for way in ways
@@ -52,7 +52,7 @@ def picture(rows: Sequence[Row]) -> Drawing:
         square = [(first, least), (last, least * (last / first) ** 2)]
         series.append(Series(name="square of the resolution", points=square, style="member"))
         colors = series_colors(series)
-        panels.append(line_drawing(label, series, x, Axis(label=label, log=True), colors=colors, legend=False))
+        panels.append(line_drawing(title, series, x, Axis(label=label, log=True), colors=colors, legend=False))
     return sheet("An outer step without its renderings", panels, colors, columns=2)
 
 

@@ -1,4 +1,6 @@
-"""Where the demo cameras stand: around the object, 70 % above its equator, at distances 3.8 to 4.2, looking at it."""
+"""Where the demo cameras stand: at distances 3.8 to 4.2 from the object, looking at it."""
+
+from typing import Literal
 
 import numpy as np
 import torch
@@ -9,22 +11,31 @@ from sculpt_framework.types import Camera
 FIELD_OF_VIEW = 0.6911
 """Horizontal, in radians."""
 _GOLDEN = 0.6180339887498949
-_ABOVE = 0.7
+
+Placement = Literal["around", "above", "front"]
+"""Seen from all sides, 70 % of the cameras above the equator; only from above it; only from azimuths within 75 degrees
+of +x, above and below."""
+
+_BELOW: dict[Placement, float] = {"around": 0.3, "above": 0.0, "front": 0.3}
+_FRONT = 75 / 360
 
 
-def demo_cameras(count: int, resolution: int, offset: int = 0) -> tuple[Camera, ...]:
+def demo_cameras(
+    count: int, resolution: int, offset: int = 0, placement: Placement = "around"
+) -> tuple[Camera, ...]:
     """``count`` cameras of square images; another ``offset`` gives others.
 
     Places follow a low-discrepancy sequence, so that any number of them is spread evenly, and every tenth too.
     """
-    return tuple(_camera(_position(offset + index), resolution) for index in range(count))
+    return tuple(_camera(_position(offset + index, placement), resolution) for index in range(count))
 
 
-def _position(index: int) -> Float[np.ndarray, " 3"]:
-    azimuth = 2 * np.pi * ((index * _GOLDEN) % 1)
-    level = _van_der_corput(index, 2)
+def _position(index: int, placement: Placement) -> Float[np.ndarray, " 3"]:
+    turn = (index * _GOLDEN) % 1
+    azimuth = 2 * np.pi * (_FRONT * (2 * turn - 1) if placement == "front" else turn)
+    level, below = _van_der_corput(index, 2), _BELOW[placement]
     # The sine of the elevation, for even density on the sphere; the poles are left out as no up direction exists there.
-    height = 0.97 * (level - (1 - _ABOVE)) / _ABOVE if level > 1 - _ABOVE else -0.9 * level / (1 - _ABOVE)
+    height = 0.97 * (level - below) / (1 - below) if level > below else -0.9 * level / below
     distance = 3.8 + 0.4 * _van_der_corput(index, 3)
     wide = np.sqrt(1 - height * height)
     return distance * np.array([wide * np.cos(azimuth), wide * np.sin(azimuth), height])

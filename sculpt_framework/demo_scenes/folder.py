@@ -15,7 +15,7 @@ import numpy as np
 import torch
 import trimesh
 
-from sculpt_framework.demo_scenes.cameras import FIELD_OF_VIEW, demo_cameras
+from sculpt_framework.demo_scenes.cameras import FIELD_OF_VIEW, Placement, demo_cameras
 from sculpt_framework.demo_scenes.objects import DemoObject
 from sculpt_framework.demo_scenes.reference import reference_mesh
 from sculpt_framework.demo_scenes.tracing import render, surface_color
@@ -36,8 +36,10 @@ class DemoSettings:
     test_views: int = 20
     resolution: int = 400
     """Side of the square images, in pixels."""
-    reference_cells: int = 128
-    """Cells along the diameter of the unit ball when the reference mesh is extracted."""
+    reference_cells: int | None = None
+    """Cells along the diameter of the unit ball when the reference mesh is extracted; None: as the object asks."""
+    seen_from: Placement | None = None
+    """Where cameras stand; None: as the object asks."""
 
     def __post_init__(self) -> None:
         for what, value, low, high in (
@@ -106,10 +108,11 @@ def _revision() -> str:
 
 
 def _write(item: DemoObject, settings: DemoSettings, folder: Path, progress: Progress) -> None:
+    placement = settings.seen_from or item.seen_from
     splits = {
-        "train": demo_cameras(settings.train_views, settings.resolution),
+        "train": demo_cameras(settings.train_views, settings.resolution, placement=placement),
         # Far along the sequence, where no train view is.
-        "test": demo_cameras(settings.test_views, settings.resolution, offset=10_000),
+        "test": demo_cameras(settings.test_views, settings.resolution, offset=10_000, placement=placement),
     }
     jobs = []
     for split, cameras in splits.items():
@@ -119,7 +122,7 @@ def _write(item: DemoObject, settings: DemoSettings, folder: Path, progress: Pro
             (folder / f"transforms_{split}.json").write_text(json.dumps(document, indent=1), encoding="utf-8")
             jobs += [(camera, folder / split / f"r_{index}.png") for index, camera in enumerate(cameras)]
     with ThreadPoolExecutor(max_workers=torch.get_num_threads()) as pool:
-        mesh = pool.submit(_write_mesh, item, settings.reference_cells, folder / "gt_mesh.ply")
+        mesh = pool.submit(_write_mesh, item, settings.reference_cells or item.reference_cells, folder / "gt_mesh.ply")
         pictures = [pool.submit(_write_picture, item, camera, path) for camera, path in jobs]
         try:
             for done, picture in enumerate(pictures, start=1):

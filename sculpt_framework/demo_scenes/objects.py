@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sculpt_framework.demo_scenes.cameras import Placement
 from sculpt_framework.demo_scenes.distance import (
     Points,
     Values,
@@ -36,6 +37,11 @@ class DemoObject:
     """Lower bound of the distance in absolute value, Lipschitz constant 1, zero exactly on the surface."""
     texture: SolidTexture
     genus: int
+    gloss: float = 0.0
+    """Brightness of the highlights of four lamps, added to the colour; 0: matt."""
+    seen_from: Placement = "around"
+    reference_cells: int = 128
+    """Cells along the diameter of the unit ball when the reference mesh is extracted."""
 
 
 def blob(p: Points) -> Values:
@@ -82,6 +88,47 @@ def gaps(p: Points) -> Values:
     return smooth_union(body, capsule(p, (-0.6, 0.0, 0.3), (0.6, 0.0, 0.3), 0.07), 0.04)
 
 
+def machine(p: Points) -> Values:
+    """A tracked machine of many parts: wheels, a ribbed deck, a cabin without walls, a lattice boom."""
+    mirrored = np.stack([p[0], np.abs(p[1]), p[2]])
+    # Five wheels on each side, a gap between any two: the nearest is found by folding space along x.
+    pitch = 0.24
+    folded = p[0] - pitch * np.clip(np.round(p[0] / pitch), -2, 2)
+    wheels = _wheel(np.stack([folded, mirrored[1], mirrored[2]]), (0.0, 0.38, -0.42), 0.1, 0.1)
+    body = smooth_union(wheels, capsule(mirrored, (-0.48, 0.38, -0.42), (0.48, 0.38, -0.42), 0.035), 0.03)
+    deck = box(p, (0.0, 0.0, -0.24), (0.62, 0.34, 0.035), 0.03)
+    body = smooth_union(body, smooth_union(deck, box(p, (0.0, 0.0, -0.32), (0.5, 0.1, 0.08), 0.03), 0.03), 0.02)
+    body = smooth_union(body, box(mirrored, (0.0, 0.33, -0.3), (0.5, 0.03, 0.09), 0.02), 0.03)
+    # Ribs of a radiator behind.
+    rib = 0.11
+    folded = p[0] + 0.42 - rib * np.clip(np.round((p[0] + 0.42) / rib), -1, 1)
+    body = smooth_union(body, box(np.stack([folded, p[1], p[2]]), (0.0, 0.0, -0.1), (0.025, 0.26, 0.14), 0.02), 0.03)
+    # A cabin: four posts and a roof over a seat.
+    around = np.stack([np.abs(p[0] + 0.02), mirrored[1], p[2]])
+    body = smooth_union(body, capsule(around, (0.17, 0.2, -0.2), (0.17, 0.2, 0.3), 0.025), 0.03)
+    body = smooth_union(body, box(p, (-0.02, 0.0, 0.31), (0.23, 0.26, 0.03), 0.025), 0.03)
+    body = smooth_union(body, box(p, (-0.04, 0.0, -0.12), (0.08, 0.11, 0.09), 0.03), 0.03)
+    # Two rails and their rungs, rising to the front.
+    rail = capsule(mirrored, (0.3, 0.12, -0.18), (0.85, 0.12, 0.3), 0.026)
+    along, across = (0.7534, 0.6575), (-0.6575, 0.7534)
+    s = along[0] * (p[0] - 0.3) + along[1] * (p[2] + 0.18) - 0.05
+    n = across[0] * (p[0] - 0.3) + across[1] * (p[2] + 0.18)
+    folded = s - 0.16 * np.clip(np.round(s / 0.16), 0, 4)
+    rungs = capsule(np.stack([folded, p[1], n]), (0.0, -0.12, 0.0), (0.0, 0.12, 0.0), 0.02)
+    return smooth_union(body, smooth_union(rail, rungs, 0.02), 0.03)
+
+
+def _wheel(p: Points, center: tuple[float, float, float], radius: float, half_width: float) -> Values:
+    """A flat cylinder around y."""
+    turned = np.stack([p[0], p[2], p[1]])
+    return disc(turned, (center[0], center[2], center[1]), radius, half_width, 0.025)
+
+
+def flask(p: Points) -> Values:
+    body = smooth_union(sphere(p, (0.0, 0.0, -0.3), 0.55), capsule(p, (0.0, 0.0, 0.1), (0.0, 0.0, 0.72), 0.15), 0.3)
+    return smooth_union(body, ring(p, (0.0, 0.42, 0.2), 0, 0.28, 0.05), 0.05)
+
+
 OBJECTS = {
     item.name: item
     for item in (
@@ -119,6 +166,25 @@ OBJECTS = {
             distance=gaps,
             texture=SolidTexture(ground=(0.6, 0.5, 0.75), patches=(0.9, 0.8, 0.5), spots=(0.2, 0.4, 0.4), seed=51),
             genus=4,
+        ),
+        DemoObject(
+            name="machine",
+            summary="many parts with deep gaps, seen from above only",
+            distance=machine,
+            texture=SolidTexture(ground=(0.85, 0.7, 0.25), patches=(0.45, 0.45, 0.5), spots=(0.8, 0.3, 0.2), seed=61),
+            genus=8,
+            seen_from="above",
+            reference_cells=160,
+        ),
+        DemoObject(
+            name="flask",
+            summary="shiny: highlights that move with the camera, little texture",
+            distance=flask,
+            texture=SolidTexture(
+                ground=(0.25, 0.4, 0.35), patches=(0.28, 0.42, 0.4), spots=(0.22, 0.36, 0.4), seed=71
+            ),
+            genus=1,
+            gloss=0.6,
         ),
     )
 }

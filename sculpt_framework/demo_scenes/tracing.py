@@ -27,6 +27,8 @@ _FINEST = 240  # Images with fewer pixels along a side are rendered larger and r
 _SAMPLES = 4  # Rays along each side of a pixel that is traced again.
 _DEPTH_JUMP = 0.04
 _LIGHT = (0.36, -0.48, 0.8)
+_LAMPS = ((0.36, -0.48, 0.8), (-0.8, 0.1, 0.6), (0.5, 0.8, 0.3), (-0.3, -0.8, -0.4))
+_SHARPNESS = 24  # Phong's exponent: highlights some 30 degrees wide.
 
 
 def render(item: DemoObject, camera: Camera) -> tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]]:
@@ -113,7 +115,15 @@ def surface_color(item: DemoObject, points: Points) -> Float[np.ndarray, "n 3"]:
 
 
 def _shade(item: DemoObject, origin: Origin, directions: Points, depth: Values) -> Float[np.ndarray, "n 3"]:
-    return surface_color(item, origin[:, None] + depth * directions)
+    points = origin[:, None] + depth * directions
+    color = surface_color(item, points)
+    if item.gloss == 0:
+        return color
+    normal = surface_normal(item.distance, points, 2e-3)
+    mirrored = directions - 2 * np.einsum("in,in->n", directions, normal) * normal
+    lamps = np.array(_LAMPS, points.dtype) / np.linalg.norm(_LAMPS, axis=1, keepdims=True).astype(points.dtype)
+    highlight = np.maximum(np.einsum("ki,in->kn", lamps, mirrored), 0) ** _SHARPNESS
+    return np.minimum(color + item.gloss * highlight.sum(axis=0)[:, None], 1)
 
 
 def _rays(camera: Camera, columns: Values, rows: Values) -> tuple[Origin, Points]:

@@ -128,7 +128,7 @@ def test_cache_that_cannot_be_written(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 def test_demo_names() -> None:
-    with pytest.raises(DataError, match=r"there are blob, dents, thin, double-torus, gaps; did you mean gaps\?"):
+    with pytest.raises(DataError, match=r"there are blob, dents, thin, double-torus, gaps, machine, flask; did you mean gaps\?"):
         AutoDatasetConfig().build("demo:gap")
     with pytest.raises(DataError, match=r"scenes/jar: not a demo scene; expected demo or demo:NAME"):
         DemoConfig().build("scenes/jar")

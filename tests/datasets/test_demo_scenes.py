@@ -1,5 +1,7 @@
 """The demo objects are what they claim to be, and their pictures show them."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -148,6 +150,26 @@ def test_cameras_see_the_object_from_all_sides() -> None:
         rotation = camera.world_to_camera[:3, :3].numpy()
         np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
         assert np.linalg.det(rotation) > 0
+
+
+def test_cameras_above_and_in_front() -> None:
+    above = np.stack([camera.position.numpy() for camera in demo_cameras(100, 64, placement="above")])
+    assert above[:, 2].min() > 0
+    front = np.stack([camera.position.numpy() for camera in demo_cameras(100, 64, placement="front")])
+    assert np.rad2deg(np.abs(np.arctan2(front[:, 1], front[:, 0]))).max() <= 75
+    assert (front[:, 2] < 0).any()
+
+
+def test_highlights_move_with_the_camera() -> None:
+    """The same surface point differs between views where there is gloss, by nothing where there is none."""
+    item = OBJECTS["flask"]
+    first, second = demo_cameras(2, 300)
+    for gloss, bound in ((0.0, 1e-3), (item.gloss, 0.2)):
+        pictures = [render(replace(item, gloss=gloss), camera)[0] for camera in (first, second)]
+        matt = [render(replace(item, gloss=0.0), camera)[0] for camera in (first, second)]
+        brightest = [float((a - b).max()) for a, b in zip(pictures, matt, strict=True)]
+        assert min(brightest) >= 0
+        assert (max(brightest) > bound) == (gloss > 0)
 
 
 def test_unknown_object() -> None:

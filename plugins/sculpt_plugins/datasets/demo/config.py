@@ -1,5 +1,5 @@
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from sculpt_framework.config import DatasetConfig
 
@@ -9,7 +9,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class DemoConfig(DatasetConfig):
-    """A built-in scene: --data demo, or demo:NAME (blob, dents, thin, double-torus, gaps)."""
+    """A built-in scene: --data demo, or demo:NAME (blob, dents, thin, double-torus, gaps, machine, flask)."""
 
     resolution: int = 400
     """Side of the square images, in pixels."""
@@ -17,6 +17,8 @@ class DemoConfig(DatasetConfig):
     """Images to learn from."""
     test_views: int = 20
     """Images to measure on, from other places."""
+    seen_from: Literal["around", "above", "front"] | None = None
+    """Where cameras stand: on all sides, above the equator, or within 75 degrees of +x. Default: as the scene asks."""
 
     def build(self, data: str) -> "DemoDataset":
         from sculpt_plugins.datasets.demo.dataset import DemoDataset

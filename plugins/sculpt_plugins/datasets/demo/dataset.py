@@ -22,7 +22,10 @@ class DemoDataset(Dataset):
             raise DataError(f"{data}: not a demo scene; expected demo or demo:NAME, or another --dataset for a folder.")
         self.item = demo_object(name or DEFAULT)
         self.settings = DemoSettings(
-            train_views=config.train_views, test_views=config.test_views, resolution=config.resolution
+            train_views=config.train_views,
+            test_views=config.test_views,
+            resolution=config.resolution,
+            seen_from=config.seen_from,
         )
 
     def load(self) -> Scene:

@@ -129,6 +129,9 @@ class TrainerConfig:
     """Coarse to fine."""
     base_cells: int
     """Grid cells along the longest side of the object's box at level 0."""
+    cell_pixels: float | None = None
+    """Width that cells have at least, in pixels of the stage's image that shows them best: where the stage's cells are
+    narrower, larger ones take their place. Default: all cells of a stage are alike."""
     final_rate: float = 0.05
     """Share of their start to which learning rates fall, exponentially, over the run."""
     gradient_isolation: bool = True
@@ -177,6 +180,10 @@ class MethodConfig:
     """A box in world frame in which the surface gets finer cells; for several, give the option several times."""
     refine_box_levels: int = 1
     """How many times cells are halved in these boxes."""
+    repair: Path | None = None
+    """A finished run that this one goes on with in these boxes; outside, its surface stays. Set by ``--resume``."""
+    replay: Path | None = None
+    """events.jsonl of an earlier run: what that run was told in its viewer is told again, at the same steps."""
     field: FieldConfig
     extractor: ExtractorConfig
     binder: BinderConfig

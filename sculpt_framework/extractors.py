@@ -3,6 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from jaxtyping import Float, Int64
 from torch import Tensor
@@ -10,6 +11,9 @@ from torch import Tensor
 from sculpt_framework.geometry.grid import Grid, RefineBox
 from sculpt_framework.keyed import KeyedTable
 from sculpt_framework.types import Surface
+
+if TYPE_CHECKING:
+    from sculpt_framework.geometry.octree_policy import LevelMap
 
 SdfFunction = Callable[[Tensor], Tensor]
 """Points "n 3" of the object frame to signed distances "n", negative inside, differentiable."""
@@ -24,7 +28,7 @@ class Extraction:
     """A surface and what regularisers need to know of how it came about.
 
     The band is the set of grid cells the surface passes through: all of the grid's level, or, where an extractor
-    refines in boxes, of that level and finer ones. Its sdf values carry gradient.
+    refines in boxes or spares cells, of several levels. Its sdf values carry gradient.
     """
 
     surface: Surface
@@ -76,9 +80,9 @@ class Extractor(ABC):
 
 
 class RefiningExtractor(Extractor):
-    """An extractor that can work on finer cells in boxes, to the same contract.
+    """An extractor that can work on finer cells in boxes and on coarser ones elsewhere, to the same contract.
 
-    The cells of an extraction, and its seeds, then are of the grid's level and of finer ones.
+    The cells of an extraction, and its seeds, then are of several levels.
     """
 
     @abstractmethod
@@ -86,4 +90,23 @@ class RefiningExtractor(Extractor):
         """From now on refine the surface in these boxes (object frame) and nowhere else.
 
         Raises ValueError if cells that fine have no coordinates (``octree.vertex_level``), also later in ``set_grid``.
+        """
+
+    @abstractmethod
+    def set_worth(self, worth: "LevelMap | None") -> None:
+        """From now on use larger cells than the grid's where these say that smaller ones are not worth while.
+
+        Boxes refine there all the same. None: all cells outside boxes are of the grid's size.
+        """
+
+    @abstractmethod
+    def hold_outside(
+        self, boxes: Sequence[RefineBox], surface: tuple[SdfFunction, Int64[Tensor, " s"]] | None = None
+    ) -> None:
+        """Keep the surface outside these boxes (object frame) to the bit, whatever the sdf becomes.
+
+        What is kept is the surface that ``extract`` makes of this sdf and these seeds now, so before ``set_boxes`` adds
+        boxes to refine in. It is kept on ``tables`` that never learn; without it they are left empty, for those of an
+        earlier run to be loaded. Free are the grid's cells that a box reaches into; beyond them only a ring of cells
+        for each level that a box refines by changes. From then on ``set_grid`` to another level raises ValueError.
         """

@@ -36,6 +36,8 @@ def check(config: MethodConfig) -> None:
 def _check_trainer(trainer: TrainerConfig) -> None:
     _require(trainer.outer_steps >= 1, "trainer.outer-steps", trainer.outer_steps, "1 or more")
     _require(trainer.base_cells >= 2, "trainer.base-cells", trainer.base_cells, "2 or more")
+    if trainer.cell_pixels is not None:
+        _require(0 < trainer.cell_pixels <= 1000, "trainer.cell-pixels", trainer.cell_pixels, "above 0, at most 1000")
     _require(0 < trainer.final_rate <= 1, "trainer.final-rate", trainer.final_rate, "above 0, at most 1")
     _require(trainer.bind_every >= 1, "trainer.bind-every", trainer.bind_every, "1 or more")
     _require(trainer.sh_degree_every >= 1, "trainer.sh-degree-every", trainer.sh_degree_every, "1 or more")

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from sculpt_framework.cli import exit_codes
+from sculpt_framework.cli.bench_splats import bumpy_sphere_camera, splats_on_bumpy_sphere
 from sculpt_framework.errors import ComponentImportError, ConfigError, DeviceError
 
 if TYPE_CHECKING:
@@ -45,7 +46,8 @@ class BenchRequest:
     """Time forward plus backward passes: medians of wall and CPU milliseconds.
 
     Whole runs on a set of scenes have a command of their own: sculpt-bench suite --help
-    So has the cost of extraction by resolution: sculpt-bench extract --help
+    So have the cost of extraction by resolution, sculpt-bench extract --help, and the surfaces that training starts
+    from, sculpt-bench start --help, and an inner step part by part, sculpt-bench step --help
     """
 
     what: Annotated[Literal["raster", "loss", "encode"], tyro.conf.Positional]
@@ -105,6 +107,16 @@ def bench(words: Sequence[str]) -> None:
         from sculpt_framework.cli.bench_extract import bench_extract
 
         bench_extract(words[1:])
+        return
+    if words and words[0] == "step":
+        from sculpt_framework.cli.bench_step import bench_step
+
+        bench_step(words[1:])
+        return
+    if words and words[0] == "start":
+        from sculpt_framework.cli.bench_start import bench_start
+
+        bench_start(words[1:])
         return
     request = tyro.cli(BenchRequest, args=words, prog="sculpt-bench")
     if request.repeats < 1 or min(request.threads, default=0) < 1:
@@ -205,19 +217,13 @@ def _raster_cases(request: BenchRequest) -> Iterator[tuple[str, list[Contender]]
     """Colour and coverage of Gaussians on a bumpy sphere that fills two fifths of the image, by all that run there."""
     import torch
 
-    from sculpt_framework.types import Camera
-
     prototype = None if request.compare_prototype is None else _prototype(request.compare_prototype)
     device = torch.device(request.device)
     cases = CUDA_RASTER_CASES if request.device == "cuda" else RASTER_CASES
     for number in _chosen(request, len(cases)):
         faces, per_face, size = cases[number]
-        pose = torch.eye(4, device=device)
-        pose[2, 3] = 2.6
-        camera = Camera(
-            world_to_camera=pose, fx=1.1 * size, fy=1.1 * size, cx=size / 2, cy=size / 2, width=size, height=size
-        )
-        splats = [tensor.to(device).requires_grad_(True) for tensor in _splats_on_bumpy_sphere(faces, per_face)]
+        camera = bumpy_sphere_camera(size, device)
+        splats = [tensor.to(device).requires_grad_(True) for tensor in splats_on_bumpy_sphere(faces, per_face)]
         dense = splats[0].shape[0] * size * size <= DENSE_PAIRS
         names = (*RASTERIZERS[request.device], *(("reference",) if dense else ()))
         contenders = [each for name in names if (each := _rasterizer(name, splats, camera, device)) is not None]
@@ -269,41 +275,6 @@ def _prototype_rasterizer(prototype: "ModuleType", splats: "list[Tensor]", camer
         return prototype.render(*splats, camera.world_to_camera, *lens)[:2]
 
     return Contender(backend="prototype", forward=forward, leaves=splats)
-
-
-def _splats_on_bumpy_sphere(faces: int, per_face: int) -> "list[Tensor]":
-    """Means, scales, rotations, opacities and colours of nearly opaque Gaussians on a star-shaped mesh."""
-    import numpy as np
-    import torch
-    from scipy.spatial import ConvexHull
-
-    # Points evenly over the sphere by the golden angle; their hull is a triangulation of the sphere.
-    count = faces // 2 + 2
-    index = np.arange(count) + 0.5
-    z, angle = 1.0 - 2.0 * index / count, np.pi * (1.0 + 5.0**0.5) * index
-    radius = np.sqrt(1.0 - z * z)
-    points = np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1)
-    triangles = ConvexHull(points).simplices
-    points *= 0.8 + 0.06 * np.sin(5.0 * points).prod(axis=1, keepdims=True)
-
-    corners = points[triangles]
-    along, across = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    normals = np.cross(along, across)
-    doubled_area = np.linalg.norm(normals, axis=1, keepdims=True)
-    normals /= doubled_area
-    along /= np.linalg.norm(along, axis=1, keepdims=True)
-    frames = np.stack([normals, along, np.cross(normals, along)], axis=2)
-    half_edges = 0.5 * np.sqrt(doubled_area * 2.0 / 3.0**0.5) / per_face**0.5
-    generator = np.random.default_rng(0)
-    weights = generator.dirichlet((3.0, 3.0, 3.0), size=(faces, per_face))
-    arrays = (
-        np.einsum("fkc,fcd->fkd", weights, corners).reshape(-1, 3),
-        np.repeat(half_edges * (1e-2, 1.0, 1.0), per_face, axis=0),
-        np.repeat(frames, per_face, axis=0),
-        np.full(faces * per_face, 0.99),
-        generator.random((faces * per_face, 3)),
-    )
-    return [torch.tensor(array, dtype=torch.float32) for array in arrays]
 
 
 def _loss_cases(request: BenchRequest) -> Iterator[tuple[str, list[Contender]]]:

@@ -3,6 +3,7 @@
 import argparse
 import sys
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
@@ -10,6 +11,8 @@ from sculpt_framework import registry
 from sculpt_framework.cli import exit_codes
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from sculpt_framework.config import DatasetConfig
     from sculpt_framework.types import Scene, View
 
@@ -26,8 +29,10 @@ def data() -> None:
         write_demo(arguments.name, arguments.folder, arguments.views, arguments.test_views, arguments.resolution)
     elif arguments.command == "list":
         _say(demo_list())
+    elif arguments.command == "masks":
+        _say(write_masks(arguments.folder, arguments.out, arguments.downscale))
     else:
-        _say(inspect(arguments.folder))
+        _say(inspect(arguments.folder, arguments.picture, arguments.downscale))
 
 
 def write_demo(name: str, folder: Path, views: int, test_views: int, resolution: int) -> None:
@@ -56,10 +61,68 @@ def demo_list() -> list[str]:
     return [f"{n:{width}}  {item.summary}{' (what demo means)' * (n == DEFAULT)}" for n, item in OBJECTS.items()]
 
 
-def inspect(folder: str) -> list[str]:
-    """The lines of a scene's card. Raises DataError."""
-    dataset = cast("DatasetConfig", registry.default("dataset", "auto")).build(folder)
-    return scene_card(dataset.load())
+def inspect(folder: str, picture: Path | None = None, downscale: int | None = None) -> list[str]:
+    """The lines of a scene's card; also a picture of it where one is asked for. Raises DataError, OutputError."""
+    from sculpt_framework.posed_images.findings import findings
+
+    scene = _load(folder, downscale)
+    lines = [*scene_card(scene), *(f"look at    {line}" for line in findings(scene))]
+    if picture is not None:
+        from sculpt_framework.posed_images.contact_sheet import contact_sheet
+
+        _write_picture(picture, contact_sheet(scene))
+        lines.append(f"picture    {picture}")
+    return lines
+
+
+def write_masks(folder: str, out: Path, downscale: int | None) -> list[str]:
+    """Masks of all views as they would be used, and a sheet of them. Raises DataError, OutputError."""
+    import numpy as np
+
+    from sculpt_framework.errors import DataError, OutputError
+    from sculpt_framework.posed_images.contact_sheet import contact_sheet
+
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise OutputError(f"{out}: exists and is not empty; give a new or an empty folder with --out.")
+    scene = _load(folder, downscale)
+    masked = [view for view in (*scene.train, *scene.test) if view.alpha is not None]
+    if not masked:
+        raise DataError(f"{folder}: no view has a mask, and none was made.")
+    for view in masked:
+        assert view.alpha is not None  # noqa: S101
+        pixels = np.rint(view.alpha.numpy() * 255).astype(np.uint8)
+        # The folder of the images is no part of a mask's name: that is how masks are looked for.
+        inside = Path(view.name).relative_to(Path(view.name).parts[0]) if len(Path(view.name).parts) > 1 else view.name
+        _write_picture(out / f"{inside}.png", np.repeat(pixels[..., None], 3, axis=2))
+    sheet = out.with_name(f"{out.name}-sheet.png")
+    _write_picture(sheet, contact_sheet(scene))
+    return [
+        f"{out}: {len(masked)} masks",
+        f"{sheet}: the masks over their images",
+        *(f"note: {n}" for n in scene.notes),
+    ]
+
+
+def _load(folder: str, downscale: int | None) -> "Scene":
+    config = cast("DatasetConfig", registry.default("dataset", "auto"))
+    return replace(config, **({} if downscale is None else {"downscale": downscale})).build(folder).load()
+
+
+def _write_picture(path: Path, pixels: "np.ndarray") -> None:
+    import cv2
+    import numpy as np
+
+    from sculpt_framework.errors import OutputError
+    from sculpt_framework.export.atomic import write_atomically
+
+    done, data = cv2.imencode(".png", np.ascontiguousarray(pixels[:, :, ::-1]))
+    if not done:
+        raise ValueError("the picture cannot be encoded")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"cannot write {path} ({error.strerror}); choose another place.") from error
+    write_atomically(path, data.tobytes())
 
 
 def scene_card(scene: "Scene") -> list[str]:
@@ -102,6 +165,12 @@ def _parser() -> argparse.ArgumentParser:
     commands.add_parser("list", help="name the demo scenes")
     card = commands.add_parser("inspect", help="print what is in a scene, and what is unusual about it")
     card.add_argument("folder", metavar="DIR", help="scene folder, or demo:NAME")
+    card.add_argument("--picture", type=Path, metavar="FILE", help="also a PNG of cameras, box, images and masks")
+    masks = commands.add_parser("masks", help="write the masks a run would use, to look at and to mend")
+    masks.add_argument("folder", metavar="DIR", help="scene folder")
+    masks.add_argument("--out", type=Path, metavar="FOLDER", required=True, help="new or empty folder")
+    for command in (card, masks):
+        command.add_argument("--downscale", type=int, metavar="N", help="read images at 1/N of their sides")
     return parser
 
 

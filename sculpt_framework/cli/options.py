@@ -20,7 +20,18 @@ from sculpt_framework.registry import SLOTS, Slot
 NONE = "none"
 VIEWER = "viser"
 REFINE_BOX = "refine_box"
-RUN_OPTIONS = ("data", "output", "max_time", "device", "threads", "seed", "reference", REFINE_BOX, "refine_box_levels")
+RUN_OPTIONS = (
+    "data",
+    "output",
+    "max_time",
+    "device",
+    "threads",
+    "seed",
+    "reference",
+    REFINE_BOX,
+    "refine_box_levels",
+    "replay",
+)
 METAVARS = {
     "data": "DIR|demo|demo:NAME",
     "output": "DIR",
@@ -123,7 +134,10 @@ def _options_type(config: MethodConfig) -> type[MethodConfig]:
 
     A subclass, so that tyro finds the help of the general options at MethodConfig.
     """
-    made: list[tuple[str, Any, Any]] = [("method", Annotated[str, tyro.conf.Suppress], config.method)]
+    made: list[tuple[str, Any, Any]] = [
+        ("method", Annotated[str, tyro.conf.Suppress], config.method),
+        ("repair", Annotated[Path | None, tyro.conf.Suppress], config.repair),
+    ]
     for general in fields(MethodConfig):
         if general.name in RUN_OPTIONS:
             made.append((general.name, _general_option(general.name, general.type), getattr(config, general.name)))

@@ -22,6 +22,8 @@ from sculpt_framework.serialization import read_config
 from sculpt_framework.validation import check
 
 PROGRAM = "sculpt-train"
+REPAIR_SHARE = 0.5
+"""Outer steps of a repair, as a share of those of the run it repairs."""
 MAY_CHANGE_ON_RESUME = ("output", "max_time", "device", "threads", "reference", "observers")
 
 
@@ -73,8 +75,10 @@ def read_request(words: Sequence[str]) -> TrainRequest:
         raise ConfigError(f"{PROGRAM} starts with a method, {given}. Methods: {', '.join(registry.method_names())}.")
     if resume is None:
         return TrainRequest(config=_new_run(words[0], words[1:]))
-    method = words[0] if named else None
-    return TrainRequest(config=_saved_run(resume, method, words[1:] if named else words), resume=resume)
+    method, rest = (words[0], words[1:]) if named else (None, words)
+    if any(word.partition("=")[0].replace("_", "-") == "--refine-box" for word in rest):
+        return TrainRequest(config=_repair(resume, method, rest))
+    return TrainRequest(config=_saved_run(resume, method, rest), resume=resume)
 
 
 def overview() -> str:
@@ -87,6 +91,7 @@ def overview() -> str:
 OVERVIEW = """\
 usage: sculpt-train METHOD --data DIR|demo|demo:NAME [options]
        sculpt-train --resume RUN_DIR [options]
+       sculpt-train --resume RUN_DIR --refine-box X0 Y0 Z0 X1 Y1 Z1 [options]
 
 Posed images of one object in, a watertight mesh out.
 
@@ -146,21 +151,59 @@ def _new_run(method: str, words: Sequence[str]) -> MethodConfig:
 
 def _saved_run(run_dir: Path, method: str | None, words: Sequence[str]) -> MethodConfig:
     """The config of the run in ``run_dir``, with what may change on resuming changed."""
+    saved = _read_saved(run_dir, method)
+    config = _edit(replace(saved, output=None), words, f"{PROGRAM} --resume {run_dir}", "Go on with a saved run.")
+    if config.output is not None:
+        raise ConfigError("--output cannot be given with --resume: results go where the run is.")
+    _check_unchanged(run_dir, saved, config, MAY_CHANGE_ON_RESUME)
+    return replace(config, output=run_dir)
+
+
+def _repair(run_dir: Path, method: str | None, words: Sequence[str]) -> MethodConfig:
+    """The config of a new run that goes on with the finished one in ``run_dir``, in the boxes the words give."""
+    saved = _read_saved(run_dir, method)
+    last, steps = saved.trainer.stages[-1], max(1, round(REPAIR_SHARE * saved.trainer.outer_steps))
+    plain = replace(
+        saved,
+        output=None,
+        max_time=None,
+        refine_box=(),
+        refine_box_levels=1,
+        replay=None,
+        repair=run_dir.absolute(),
+        trainer=replace(saved.trainer, stages=(last,), outer_steps=steps),
+    )
+    config = _edit(plain, words, f"{PROGRAM} --resume {run_dir}", "Refine a finished run in boxes.")
+    unchanged = replace(config, trainer=replace(config.trainer, outer_steps=steps))
+    _check_unchanged(run_dir, plain, unchanged, (*MAY_CHANGE_ON_RESUME, "refine_box", "refine_box_levels"))
+    return config if config.output is not None else replace(config, output=_repaired_folder(run_dir))
+
+
+def _repaired_folder(run_dir: Path) -> Path:
+    """A new folder beside the run's; it is not made yet."""
+    stem = run_dir.absolute()
+    number = 1
+    while (folder := stem.with_name(f"{stem.name}-repair-{number}")).exists():
+        number += 1
+    return folder
+
+
+def _read_saved(run_dir: Path, method: str | None) -> MethodConfig:
     path = run_dir / "config.json"
     if not path.is_file():
         raise CheckpointError(f"--resume {run_dir}: there is no saved run ({path} does not exist).")
     saved = read_config(path)
     if method is not None and method != saved.method:
         raise ConfigError(f"--resume {run_dir} is a run of {saved.method!r}, not of {method!r}. Leave the method out.")
-    config = _edit(replace(saved, output=None), words, f"{PROGRAM} --resume {run_dir}", "Go on with a saved run.")
-    if config.output is not None:
-        raise ConfigError("--output cannot be given with --resume: results go where the run is.")
+    return saved
+
+
+def _check_unchanged(run_dir: Path, saved: MethodConfig, config: MethodConfig, may_change: Sequence[str]) -> None:
     for each in fields(MethodConfig):
-        if each.name not in MAY_CHANGE_ON_RESUME and getattr(config, each.name) != getattr(saved, each.name):
+        if each.name not in may_change and getattr(config, each.name) != getattr(saved, each.name):
             raise ConfigError(
                 f"--resume {run_dir}: {each.name} cannot be changed in a saved run. Start a new run for that."
             )
-    return replace(config, output=run_dir)
 
 
 def _edit(config: MethodConfig, words: Sequence[str], program: str, description: str) -> MethodConfig:

@@ -42,6 +42,11 @@ def run_started(
     }
 
 
+def initial_surface(config: MethodConfig, fit_error: float) -> dict[str, Any]:
+    name = type(config.initializer).__name__.removesuffix("Config")
+    return {"item": "initial surface", "value": name, "fit_error": fit_error}
+
+
 def stage_entered(index: int, stages: Sequence[StageConfig], grid: Grid) -> dict[str, Any]:
     stage = stages[index]
     return {

@@ -1,17 +1,19 @@
 """From a config to the components it names."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 
-from sculpt_framework.config import MethodConfig
+from sculpt_framework.config import MethodConfig, TrainerConfig
 from sculpt_framework.engine.gaussian_scene import GaussianScene
+from sculpt_framework.engine.images import TrainingImage
 from sculpt_framework.engine.trainer import BiLevelTrainer, Objectives, Weighted
 from sculpt_framework.errors import ConfigError, DeviceError
 from sculpt_framework.extractors import Extractor, RefiningExtractor
+from sculpt_framework.geometry.band import coarsened
 from sculpt_framework.geometry.grid import Grid, RefineBox, grid_over_box
-from sculpt_framework.geometry.octree_policy import wanted_levels
+from sculpt_framework.geometry.octree_policy import LevelMap, level_map, wanted_levels
 from sculpt_framework.losses import GeometryLoss, ImageLoss
 from sculpt_framework.rasterizers import Rasterizer
 from sculpt_framework.registry import name_of
@@ -31,6 +33,11 @@ class Parts:
     """How many of the smallest cells of a box that is refined a cell of the grid is wide; 1 without boxes."""
     rasterizer: Rasterizer
     trainer: BiLevelTrainer
+
+    @property
+    def detail(self) -> float:
+        """The size of the smallest cells, object units, which the field is told."""
+        return self.trainer.extractor.grid.cell / self.refinement
 
 
 def pick_device(wanted: str) -> torch.device:
@@ -76,11 +83,32 @@ def build_extractor(config: MethodConfig, box: Box, grid: Grid, device: torch.de
     """
     stages = config.trainer.stages
     extractor = config.extractor.build(grid.at_level(stages[0].level), device)
-    if not config.refine_box:
+    if not config.refine_box and config.trainer.cell_pixels is None:
         return extractor
     if not isinstance(extractor, RefiningExtractor):
+        option = "--refine-box" if config.refine_box else "--trainer.cell-pixels"
         name = name_of(config.extractor)
-        raise ConfigError(f"--refine-box: extractor {name!r} has cells of one size only; choose another")
+        raise ConfigError(f"{option}: extractor {name!r} has cells of one size only; choose another")
+    boxes = refine_boxes(config, box)
+    try:
+        wanted_levels(grid.at_level(max(stage.level for stage in stages)), boxes)
+    except ValueError as error:
+        raise ConfigError(f"--refine-box-levels {config.refine_box_levels} is too many here: {error}") from error
+    extractor.set_boxes(boxes)
+    if config.repair is not None:
+        extractor.hold_outside(boxes)
+    return extractor
+
+
+def spare_cells(extractor: Extractor, config: TrainerConfig, images: Sequence[TrainingImage]) -> None:
+    """Have the extractor use larger cells where these images, a stage's, would not show the smaller ones."""
+    if config.cell_pixels is not None and isinstance(extractor, RefiningExtractor):
+        worth = level_map(extractor.grid, [image.camera for image in images], config.cell_pixels)
+        extractor.set_worth(LevelMap(levels=worth.levels.to(images[0].premultiplied.device)))
+
+
+def refine_boxes(config: MethodConfig, box: Box) -> list[RefineBox]:
+    """The boxes of ``--refine-box`` in the object frame. Raises ConfigError for one that misses the object's box."""
     boxes = []
     for given in config.refine_box:
         low, high = torch.tensor(given[:3]), torch.tensor(given[3:])
@@ -93,12 +121,30 @@ def build_extractor(config: MethodConfig, box: Box, grid: Grid, device: torch.de
         x, y, z = box.to_object(torch.stack([low, high])).double().T.tolist()
         low_corner, high_corner = (x[0], y[0], z[0]), (x[1], y[1], z[1])
         boxes.append(RefineBox(minimum=low_corner, maximum=high_corner, levels=config.refine_box_levels))
-    try:
-        wanted_levels(grid.at_level(max(stage.level for stage in stages)), boxes)
-    except ValueError as error:
-        raise ConfigError(f"--refine-box-levels {config.refine_box_levels} is too many here: {error}") from error
+    return boxes
+
+
+def refine_in(parts: Parts, boxes: Sequence[RefineBox], finest: int) -> Parts:
+    """Have the extractor refine in these boxes (object frame) and nowhere else, and the field follow.
+
+    ``finest`` is the level of the finest stage. Raises ValueError if the extractor has cells of one size only, or if
+    the smallest cells would have no coordinates.
+    """
+    extractor = parts.trainer.extractor
+    if not isinstance(extractor, RefiningExtractor):
+        raise ValueError("this extractor has cells of one size only")
+    wanted_levels(parts.grid.at_level(finest), boxes)
     extractor.set_boxes(boxes)
-    return extractor
+    refined = replace(parts, refinement=1 << max((box.levels for box in boxes), default=0))
+    parts.trainer.field.set_detail(refined.detail)
+    fit_seeds(refined)
+    return refined
+
+
+def fit_seeds(parts: Parts) -> None:
+    """Without boxes no seed may be finer than the grid, though those of a state from before may be."""
+    if parts.refinement == 1 and parts.trainer.seeds is not None:
+        parts.trainer.seeds = coarsened(parts.trainer.seeds, parts.trainer.extractor.grid.level)
 
 
 def build_objectives(config: MethodConfig) -> Objectives:

@@ -1,17 +1,46 @@
 """Fit a field to the surface a run starts from."""
 
+from collections.abc import Sequence
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
 
+from sculpt_framework.config import MethodConfig
+from sculpt_framework.engine.images import in_object_frame
 from sculpt_framework.extractors import SdfFunction
 from sculpt_framework.fields import Field
 from sculpt_framework.geometry.grid import Grid
+from sculpt_framework.types import Box, View
 
+_INITIAL_CELLS = 64
+"""Cells along the longest side at which the initial surface is tabulated."""
 _SAMPLES = 20_000
 _TRUNCATION = 0.2
 """Distances beyond this, in object units, matter by their sign only."""
+
+
+def fit_to_views(
+    field: Field,
+    config: MethodConfig,
+    views: Sequence[View],
+    box: Box,
+    grid: Grid,
+    generator: torch.Generator,
+    device: torch.device,
+) -> float:
+    """Fit the field to what the method's initializer makes of the views, in world frame; returns as ``fit_field``.
+
+    ``grid`` is at level 0. Raises DataError if no start can be made from the views.
+    """
+    cameras = [in_object_frame(view, box) for view in views]
+    target = config.initializer.build().target(cameras, box.half_sides, device)
+    level = 0
+    while config.trainer.base_cells << (level + 1) <= _INITIAL_CELLS:
+        level += 1
+    fine = grid.at_level(level)
+    return fit_field(field, target, fine, steps=config.trainer.fit_steps, generator=generator, device=device)
 
 
 def tabulate(target: SdfFunction, grid: Grid, device: torch.device) -> tuple[Float[Tensor, "n 3"], Float[Tensor, " n"]]:

@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import torch
@@ -11,16 +11,17 @@ from torch import Tensor
 from sculpt_framework.config import MethodConfig, StageConfig
 from sculpt_framework.cpu_kernels import CompileSeconds
 from sculpt_framework.engine import announcements
-from sculpt_framework.engine.assembly import build_parts, split_views
+from sculpt_framework.engine.assembly import Parts, build_parts, fit_seeds, refine_in, spare_cells, split_views
 from sculpt_framework.engine.clock import TrainingClock, process_start
 from sculpt_framework.engine.events import Event, EventName
-from sculpt_framework.engine.images import TrainingImage, in_object_frame, pixel_footprint, prepare_image
-from sculpt_framework.engine.initial_fit import fit_field
+from sculpt_framework.engine.images import TrainingImage, pixel_footprint, prepare_image
+from sculpt_framework.engine.initial_fit import fit_to_views
 from sculpt_framework.engine.measuring import image_measures, resident_megabytes
 from sculpt_framework.engine.milestones import Milestones
 from sculpt_framework.engine.reconstruction import Reconstruction, object_gaussians, reconstruct, world_mesh
 from sculpt_framework.engine.schedule import Schedule
 from sculpt_framework.engine.state import Progress, capture, restore, split_best, undisturbed, with_best
+from sculpt_framework.engine.trainer import BiLevelTrainer
 from sculpt_framework.engine.view_pictures import Album
 from sculpt_framework.errors import CheckpointError, TrainingFailed
 from sculpt_framework.evaluation.geometry import MeasuredMesh
@@ -29,6 +30,7 @@ from sculpt_framework.evaluation.mesh_report import mesh_measures, result_measur
 from sculpt_framework.evaluation.pictures import Picture
 from sculpt_framework.extractors import EmptySurfaceError
 from sculpt_framework.geometry.band import cells_at_level, discover
+from sculpt_framework.geometry.grid import RefineBox
 from sculpt_framework.types import Scene, Surface, View
 
 _CURVE_SAMPLES = 20_000
@@ -41,8 +43,6 @@ _UNSTABLE = (FloatingPointError, EmptySurfaceError)
 """What a step or a measurement raises when the optimisation has gone wrong."""
 _LIPSCHITZ = 1.5
 """A fitted field is not quite a distance: cells are searched as if it could be this much steeper."""
-_INITIAL_CELLS = 64
-"""Cells along the longest side at which the initial surface is tabulated."""
 
 
 class Pipeline:
@@ -59,7 +59,6 @@ class Pipeline:
         emit: Callable[[Event], None] = lambda event: None,
         should_stop: Callable[[], bool] = lambda: False,
         save: Callable[[Mapping[str, Tensor], Progress], None] | None = None,
-        snapshot_seconds: float | None = None,
         started: float | None = None,
     ):
         self.config = config
@@ -70,7 +69,6 @@ class Pipeline:
         self._emit_event = emit
         self._should_stop = should_stop
         self._save = save
-        self._snapshot_seconds = snapshot_seconds
         self._generator = torch.Generator().manual_seed(config.seed)
         self._parts = build_parts(config, self.scene.box, self._generator)
         self._trainer = self._parts.trainer
@@ -95,7 +93,6 @@ class Pipeline:
         self._rate_scale = 1.0
         self._recoveries = 0
         self._evaluation_seconds = 0.0
-        self._last_snapshot = float("-inf")
         self._last_checkpoint = time.monotonic()
 
     # -- the run -------------------------------------------------------------------------------------------------
@@ -135,24 +132,11 @@ class Pipeline:
 
     def _start(self) -> None:
         """Fit the field to the initial surface and find the cells it passes through."""
-        device = self._parts.device
-        initializer = self.config.initializer.build()
-        views = [in_object_frame(view, self.scene.box) for view in self._views]
-        target = initializer.target(views, self.scene.box.half_sides, device)
-        level = 0
-        while self.config.trainer.base_cells << (level + 1) <= _INITIAL_CELLS:
-            level += 1
         # Only the levels of detail that the first stage uses: finer ones would wake up later with stale detail.
-        self._trainer.field.set_detail(self._trainer.extractor.grid.cell / self._parts.refinement)
-        error = fit_field(
-            self._trainer.field,
-            target,
-            self._parts.grid.at_level(level),
-            steps=self.config.trainer.fit_steps,
-            generator=self._generator,
-            device=device,
-        )
-        self._emit("decision", {"item": "initial surface", "value": type(initializer).__name__, "fit_error": error})
+        self._trainer.field.set_detail(self._parts.detail)
+        grid, box, device = self._parts.grid, self.scene.box, self._parts.device
+        error = fit_to_views(self._trainer.field, self.config, self._views, box, grid, self._generator, device)
+        self._emit("decision", announcements.initial_surface(self.config, error))
 
     def _advance(self, progress: float) -> None:
         """One outer step, with what comes before and after it."""
@@ -182,12 +166,13 @@ class Pipeline:
         return stage
 
     def _announce_stage(self, index: int) -> None:
-        stages, grid = self.config.trainer.stages, self._trainer.extractor.grid
-        self._emit("stage", announcements.stage_entered(index, stages, grid))
+        grid = self._trainer.extractor.grid
+        self._emit("stage", announcements.stage_entered(index, self.config.trainer.stages, grid))
 
     def _load_images(self, stage: StageConfig) -> None:
         box, device = self.scene.box, self._parts.device
         self._images = [prepare_image(view, box, stage.image_scale, device) for view in self._views]
+        spare_cells(self._trainer.extractor, self.config.trainer, self._images)
         self._trainer.scene.blur = math.sqrt(self.config.trainer.low_pass_px2) * pixel_footprint(self._images)
 
     def _set_level(self, level: int) -> None:
@@ -195,7 +180,7 @@ class Pipeline:
         if grid == old:
             return
         trainer.extractor.set_grid(grid)
-        trainer.field.set_detail(grid.cell / self._parts.refinement)
+        trainer.field.set_detail(self._parts.detail)
         if trainer.seeds is not None:
             # The surface's cells on the old level hold those on the new one, and the extraction follows it from there.
             trainer.seeds = cells_at_level(trainer.seeds, grid.level - old.level)
@@ -227,8 +212,9 @@ class Pipeline:
         index = int(state["stage"])
         grid = self._parts.grid.at_level(self.config.trainer.stages[index].level)
         self._trainer.extractor.set_grid(grid)
-        self._trainer.field.set_detail(grid.cell / self._parts.refinement)
+        self._trainer.field.set_detail(self._parts.detail)
         restore(self._trainer, self._generator, state)
+        fit_seeds(self._parts)
         self._stage_index = index
 
     def _finish(self) -> Reconstruction:
@@ -237,14 +223,10 @@ class Pipeline:
         if self._status == "failed" and self._last_good is not None:
             self._return_to(self._last_good)
         try:
-            self._evaluate("end of optimisation", progress)
+            self._keep_better(progress)
         except _UNSTABLE as error:
             self._recover(error)
-            self._evaluate("end of optimisation", progress)
-        latest = self._milestones.latest("psnr")
-        if self._best is not None and latest is not None and self._best[0] > latest + 0.02:
-            self._emit("decision", {"item": "kept state", "value": "best", "psnr": self._best[0], "last_psnr": latest})
-            self._return_to(self._best[1])
+            self._keep_better(progress)
         surface = self._follow_surface()
         kept = capture(trainer, self._stage_index, self._generator)
         try:
@@ -256,6 +238,16 @@ class Pipeline:
         self.clock.stop()
         self._result = surface
         return reconstruct(trainer.scene, surface, self.scene.box)
+
+    def _keep_better(self, progress: float) -> float | None:
+        """Go back to the best state if the last one is worse. Returns the psnr of the state that is kept, if any."""
+        self._evaluate("end of optimisation", progress)
+        latest = self._milestones.latest("psnr")
+        if self._best is None or latest is None or self._best[0] <= latest + 0.02:
+            return latest
+        self._emit("decision", {"item": "kept state", "value": "best", "psnr": self._best[0], "last_psnr": latest})
+        self._return_to(self._best[1])
+        return self._best[0]
 
     def _polish(self, surface: Surface) -> None:
         """Colours on the final surface, for as many steps as the method says and the time limit allows."""
@@ -278,10 +270,8 @@ class Pipeline:
         if reason is not None:
             self._evaluate(reason, progress)
             self._keep_good()
-        now = time.monotonic()
-        if self._snapshot_seconds is not None and now - self._last_snapshot >= self._snapshot_seconds:
-            self._snapshot()
-        if self._save is not None and now - self._last_checkpoint >= self.config.trainer.checkpoint_seconds:
+        since = time.monotonic() - self._last_checkpoint
+        if self._save is not None and since >= self.config.trainer.checkpoint_seconds:
             self.save_checkpoint()
 
     def _evaluate(self, reason: str, progress: float) -> None:
@@ -348,12 +338,14 @@ class Pipeline:
             )
         )
 
-    def _snapshot(self) -> None:
-        """The current surface in world frame, for whoever shows it."""
-        with self.clock.pause(), torch.no_grad():
-            if self._trainer.extraction is not None:
-                self._emit("snapshot", {"reconstruction": self.current()})
-        self._last_snapshot = time.monotonic()
+    @property
+    def parts(self) -> Parts:
+        """What is steered between two steps."""
+        return self._parts
+
+    def refine(self, boxes: Sequence[RefineBox]) -> None:
+        """Refine in these boxes (object frame) and nowhere else from now on. Raises ValueError as ``refine_in``."""
+        self._parts = refine_in(self._parts, boxes, max(stage.level for stage in self.config.trainer.stages))
 
     def current(self) -> Reconstruction:
         """The surface as of the latest extraction. Raises ValueError before the first."""
@@ -399,6 +391,12 @@ class Pipeline:
         self._emit("action", {"message": f"going on after outer step {self.outer}"})
         self._announce_stage(self._stage_index)
         self._keep_good()
+
+    def at_result(self, saved: tuple[Mapping[str, Tensor], Progress]) -> tuple[BiLevelTrainer, float | None]:
+        """The trainer as the result of a finished run was made by it, and the psnr of that on the held-out views."""
+        self._resume(*saved)
+        psnr = self._keep_better(1.0)
+        return self._trainer, psnr
 
     def _keep_good(self) -> None:
         self._last_good = capture(self._trainer, self._stage_index, self._generator)

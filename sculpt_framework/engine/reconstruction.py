@@ -56,8 +56,13 @@ def face_centers(surface: Surface, box: Box) -> Float64[np.ndarray, "f 3"]:
 @torch.no_grad()
 def reconstruct(scene: GaussianScene, surface: Surface, box: Box) -> Reconstruction:
     """Everything a user gets, from the current surface and the rows that follow it."""
+    return in_world(surface, object_gaussians(scene, surface), box)
+
+
+@torch.no_grad()
+def in_world(surface: Surface, gaussians: Gaussians, box: Box) -> Reconstruction:
+    """The same for a surface and its Gaussians in the object frame."""
     mesh, kept = world_mesh(surface, box)
-    gaussians = object_gaussians(scene, surface)
     renamed = torch.full((len(kept),), -1, dtype=torch.int64)
     renamed[torch.from_numpy(kept)] = torch.arange(int(kept.sum()))
     face = renamed[gaussians.face.cpu()]

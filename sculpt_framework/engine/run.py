@@ -17,24 +17,28 @@ from torch import Tensor
 from sculpt_framework.config import MethodConfig
 from sculpt_framework.engine.assembly import pick_device
 from sculpt_framework.engine.checkpoint import read_checkpoint, write_checkpoint
+from sculpt_framework.engine.commands import read_recorded
 from sculpt_framework.engine.events import Event
 from sculpt_framework.engine.images import prepare_image
 from sculpt_framework.engine.measuring import image_measures
 from sculpt_framework.engine.output import prepare_output
 from sculpt_framework.engine.pipeline import Pipeline
 from sculpt_framework.engine.reconstruction import Reconstruction
+from sculpt_framework.engine.repair import repair_start
 from sculpt_framework.engine.state import Progress
+from sculpt_framework.engine.steering import Steering
 from sculpt_framework.errors import CheckpointError, SculptError, TrainingFailed
 from sculpt_framework.evaluation.report import write_report
-from sculpt_framework.export.atomic import cannot_write, write_atomically
+from sculpt_framework.export.atomic import cannot_write, remove_partial_files, write_atomically
 from sculpt_framework.export.gaussian_files import read_gaussians_ply, write_gaussians_ply
 from sculpt_framework.export.mesh_files import write_mesh_glb, write_mesh_ply
-from sculpt_framework.observers import Observer
+from sculpt_framework.observers import Observer, SteeringObserver
 from sculpt_framework.serialization import config_from_json, config_to_json
 from sculpt_framework.types import Gaussians, Scene
 
 CONFIG_NAME = "config.json"
 CHECKPOINTS = "checkpoints"
+EVENTS_NAME = "events.jsonl"
 MESH_NAME = "mesh.ply"
 REPORT_NAME = "report.html"
 _log = logging.getLogger("sculpt")
@@ -54,15 +58,20 @@ def run(config: MethodConfig, *, resume: Path | None, started: float) -> None:
         sys.stdout.write(f"{resume} has finished already; its mesh is {resume / MESH_NAME}\n")
         return
     saved = None if resume is None else read_checkpoint(resume / CHECKPOINTS)
+    if resume is None and config.repair is not None:
+        require_finished(config.repair)
     if config.threads is not None:
         torch.set_num_threads(config.threads)
     pick_device(config.device)
     scene = config.dataset.build(config.data).load()
+    if resume is None and config.repair is not None:
+        saved = _start_repair(config, config.repair, scene)
     if resume is None:
         folder = prepare_output(config)
         write_atomically(folder / CONFIG_NAME, config_to_json(config).encode())
     else:
         folder = resume
+        remove_partial_files(folder)
     try:
         (folder / CHECKPOINTS).mkdir(exist_ok=True)
     except OSError as error:
@@ -93,15 +102,20 @@ def _train(
         write_checkpoint(folder / CHECKPOINTS, state, progress)
 
     intervals = [o.snapshot_seconds for o in observers if o.snapshot_seconds is not None]
-    pipeline = Pipeline(
-        config,
-        scene=scene,
+    replay = [] if config.replay is None else read_recorded(config.replay)
+    pipeline = Pipeline(config, scene=scene, emit=emit, should_stop=lambda: steering(), save=save, started=started)
+    steering = Steering(
+        pipeline,
         emit=emit,
-        should_stop=stop_requested,
-        save=save,
+        folder=folder,
+        sources=[o.take_commands for o in observers if isinstance(o, SteeringObserver)],
+        replay=replay,
+        interrupted=stop_requested,
         snapshot_seconds=min(intervals) if intervals else None,
-        started=started,
     )
+    # A repair starts from a state that it was told nothing on the way to.
+    if saved is not None and saved[1].outer > 0:
+        steering.take_up(read_recorded(folder / EVENTS_NAME), saved[1].outer)
     result = pipeline.train(saved)
     files = write_results(folder, result)
     report = folder / REPORT_NAME
@@ -113,6 +127,29 @@ def _train(
         pipeline.warn(f"no report: {error}")
     if pipeline.failure is not None:
         raise TrainingFailed(f"{pipeline.failure}; the best mesh until then is {files['mesh']}")
+
+
+def _start_repair(config: MethodConfig, repaired: Path, scene: Scene) -> tuple[Mapping[str, Tensor], Progress]:
+    events = repaired / EVENTS_NAME
+    told = read_recorded(events) if events.is_file() else []
+    start = repair_start(config, read_config(repaired), scene, read_checkpoint(repaired / CHECKPOINTS), told)
+    if start.moved > 0:
+        _log.warning(
+            "this machine does not reproduce %s to the last bit: vertices outside the boxes are up to %.2g from there",
+            repaired / MESH_NAME,
+            start.moved,
+        )
+    return start.state, start.progress
+
+
+def require_finished(folder: Path) -> None:
+    """Raise CheckpointError unless the run has finished: only its result can be repaired."""
+    status = run_status(folder)
+    if status != "finished":
+        raise CheckpointError(
+            f"--resume {folder} --refine-box repairs a finished run; this one is "
+            f"{'unfinished' if status is None else status}. Go on with it first: --resume {folder}"
+        )
 
 
 def write_results(folder: Path, result: Reconstruction) -> dict[str, str]:

@@ -6,7 +6,8 @@ outer step   extract the surface with gradient, let the Gaussians follow its fac
 render it, and carry the images' gradient through Gaussians and faces into field and extractor
 """
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
@@ -19,6 +20,7 @@ from sculpt_framework.config import StageConfig, TrainerConfig
 from sculpt_framework.constraints import Constraint
 from sculpt_framework.engine.gaussian_scene import GaussianScene, assemble
 from sculpt_framework.engine.images import TrainingImage
+from sculpt_framework.engine.regions import Frozen, Region, signed_distance, untaught
 from sculpt_framework.extractors import Extraction, Extractor
 from sculpt_framework.fields import Field
 from sculpt_framework.losses import GeometryLoss, ImageLoss
@@ -85,9 +87,15 @@ class BiLevelTrainer:
         """Cells the surface was in after the latest extraction."""
         self.extraction: Extraction | None = None
         self.inner_total = 0
+        self.frozen: list[Frozen] = []
+        self.ignored: list[Region] = []
+        """Where images teach nothing about the surface."""
+        self.surface_rate = 1.0
+        self.gaussian_rate = 1.0
+        """Factors on the learning rates of the schedule."""
         self._field_rates = [group.rate for group in groups]
         self._rasterizer = rasterizer
-        self._objectives = objectives
+        self.objectives = objectives
         self._config = config
         self._generator = generator
         self.view_order: list[int] = []
@@ -102,18 +110,19 @@ class BiLevelTrainer:
         inner variables.
         """
         extraction = self.extract()
-        surface = extraction.surface
+        surface = untaught(self.ignored, extraction.surface)
         if not self._config.warm_start:
             self.scene.forget()
         self.scene.follow(surface)
         inner_loss = None
         if self._config.gradient_isolation and not stage.silhouette_only:
             inner_loss = self.inner_loop(surface, images, stage.inner_steps, rate_factor)
+        self._check_scene()
         views = stage.outer_views if self._config.gradient_isolation else stage.outer_views + stage.inner_steps
         binding = self.scene.bind(surface, learn=not self._config.gradient_isolation)
         self._zero_grad()
         roots, gradients, terms = self._image_gradients(binding, images, stage, views)
-        for objective in self._objectives.geometry:
+        for objective in self.objectives.geometry:
             term = objective.weight * objective.term(extraction)
             terms[objective.name] = float(term.detach())
             if term.requires_grad:
@@ -121,26 +130,26 @@ class BiLevelTrainer:
                 gradients.append(torch.ones_like(term))
         if not self._config.gradient_isolation and not stage.silhouette_only:
             # There is no inner loop to constrain the Gaussians in.
-            for constraint in self._objectives.constraints:
+            for constraint in self.objectives.constraints:
                 term = constraint.weight * constraint.term(binding)
                 terms[constraint.name] = float(term.detach())
                 if term.requires_grad:
                     roots.append(term)
                     gradients.append(torch.ones_like(term))
-        loss = sum(terms.values())
-        self._check_finite(loss)
+        self._check_terms(terms)
         # One walk through extraction and field for all terms together: it costs as much as a render.
         torch.autograd.backward(roots, gradients)
         self._check_gradients()
         for group, rate in zip(self.optimizer.param_groups, self._field_rates, strict=True):
-            group["lr"] = rate * rate_factor
+            group["lr"] = rate * rate_factor * self.surface_rate
         self.optimizer.step()
         for table in self.extractor.tables.values():
-            table.step(rate_factor)
+            table.step(rate_factor * self.surface_rate)
+        self._check_shape()
         if not self._config.gradient_isolation:
-            self.scene.step(rate_factor)
+            self.scene.step(rate_factor * self.gaussian_rate)
         return StepReport(
-            loss=loss,
+            loss=sum(terms.values()),
             terms=terms,
             inner_loss=inner_loss,
             faces=surface.faces.shape[0],
@@ -161,25 +170,31 @@ class BiLevelTrainer:
             gaussians = assemble(binding, self.scene.harmonics(binding.means, degree=self._degree(step), learn=True))
             image = images[self._next_view(len(images))]
             background = self._background(image)
-            loss = self._objectives.photometric(self._render(gaussians, image, background), image.over(background))
-            total += float(loss.detach())
+            loss = self.objectives.photometric(self._render(gaussians, image, background), image.over(background))
+            terms = {"photometric": float(loss.detach())}
+            total += terms["photometric"]
             if learn_places:
-                for constraint in self._objectives.constraints:
-                    loss = loss + constraint.weight * constraint.term(binding)
-            self._check_finite(float(loss.detach()))
+                for constraint in self.objectives.constraints:
+                    term = constraint.weight * constraint.term(binding)
+                    terms[constraint.name] = float(term.detach())
+                    loss = loss + term
+            self._check_terms(terms)
             loss.backward()
-            self.scene.step(1.0 if not self._config.warm_start else rate_factor)
+            self.scene.step(self.gaussian_rate * (1.0 if not self._config.warm_start else rate_factor))
             if learn_places:
                 fixed = self.scene.bind(surface, learn=False)
             self.inner_total += 1
         return total / steps if steps else None
+
+    def signed_distance(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
+        return signed_distance(self.field, self.frozen, points, margin=2 * self.extractor.grid.cell)
 
     # -- parts of an outer step ----------------------------------------------------------------------------------
 
     def extract(self) -> Extraction:
         """The current surface, connected to field and extractor. Raises EmptySurfaceError."""
         assert self.seeds is not None, "the first seeds come from outside"  # noqa: S101
-        self.extraction = self.extractor.extract(lambda points: self.field(points).sdf, self.seeds)
+        self.extraction = self.extractor.extract(self.signed_distance, self.seeds)
         self.seeds = self.extraction.cells
         return self.extraction
 
@@ -194,7 +209,7 @@ class BiLevelTrainer:
         sh = self.scene.harmonics(binding.means, degree=self._degree(0), learn=joint)
         connected = assemble(binding, sh)
         gathered = _as_leaves(connected)
-        objectives = self._objectives.silhouettes if stage.silhouette_only else self._objectives.images
+        objectives = self.objectives.silhouettes if stage.silhouette_only else self.objectives.images
         terms = {objective.name: 0.0 for objective in objectives}
         for _ in range(views):
             image = images[self._next_view(len(images))]
@@ -225,9 +240,29 @@ class BiLevelTrainer:
         for table in self.extractor.tables.values():
             table.zero_grad()
 
-    def _check_finite(self, loss: float) -> None:
-        if loss != loss or loss in (float("inf"), float("-inf")):
-            raise FloatingPointError(f"the objective is {loss}")
+    def _check_terms(self, terms: Mapping[str, float]) -> None:
+        broken = [f"{name} is {value}" for name, value in terms.items() if not math.isfinite(value)]
+        if broken:
+            # Their cause, if it is in what the Gaussians are made of, says more.
+            self._check_scene()
+            raise FloatingPointError(f"the objective is not finite: {', '.join(broken)}")
+
+    def _check_scene(self) -> None:
+        """Of the Gaussians. One that is not finite would not be drawn: a hole that no image complains about."""
+        for owner, table in (("binder", self.scene.geometry_rows), ("appearance", self.scene.appearance_rows)):
+            for name, leaf in table.leaves.items():
+                _require_finite(leaf, f"the {owner}'s {name}")
+        for parameter in self.scene.appearance.parameters():
+            _require_finite(parameter, "the appearance")
+
+    def _check_shape(self) -> None:
+        """Of field and extractor, after they have been updated."""
+        for group in self.optimizer.param_groups:
+            for parameter in group["params"]:
+                _require_finite(parameter, "the field")
+        for name, table in self.extractor.tables.items():
+            for leaf in table.leaves.values():
+                _require_finite(leaf, f"the extractor's {name}")
 
     def _check_gradients(self) -> None:
         """Of field and extractor, before anything is updated by them."""
@@ -235,9 +270,8 @@ class BiLevelTrainer:
         for name, table in self.extractor.tables.items():
             named += [(f"the extractor's {name}", leaf) for leaf in table.leaves.values()]
         for name, tensor in named:
-            # One sum is a quarter of the cost of testing every element, and not finite if any element is not.
-            if tensor.grad is not None and not bool(torch.isfinite(tensor.grad.sum())):
-                raise FloatingPointError(f"the gradient of {name} is not finite")
+            if tensor.grad is not None:
+                _require_finite(tensor.grad, f"the gradient of {name}")
 
     def _degree(self, step: int) -> int:
         """Active spherical-harmonics degree: one more every so many inner steps (3DGS), from the Gaussians' start."""
@@ -254,6 +288,12 @@ class BiLevelTrainer:
         if self._config.random_background and image.alpha is not None:
             return torch.rand(3, generator=self._generator).to(image.premultiplied)
         return torch.ones(3).to(image.premultiplied)
+
+
+def _require_finite(tensor: Tensor, what: str) -> None:
+    # One sum is a quarter of the cost of testing every element, and not finite if any element is not.
+    if not bool(torch.isfinite(tensor.detach().sum())):
+        raise FloatingPointError(f"{what} is not finite")
 
 
 def _as_leaves(gaussians: Gaussians) -> Gaussians:

@@ -39,7 +39,13 @@ def seen_by_any(surface: MeasuredMesh, cameras: Sequence[Camera]) -> Bool[np.nda
 
     Cameras are in the frame of the surface. The surface need not be closed or oriented.
     """
-    points = surface.samples.points
+    return points_seen(surface, surface.samples.points, cameras)
+
+
+def points_seen(
+    surface: MeasuredMesh, points: Float64[np.ndarray, "n 3"], cameras: Sequence[Camera]
+) -> Bool[np.ndarray, " n"]:
+    """The same for points on the surface."""
     seen = np.zeros(len(points), dtype=bool)
     slack = _SLACK * surface.mesh.diagonal
     for camera in cameras:

@@ -90,6 +90,13 @@ def cells_at_level(cells: Int64[Tensor, " c"], steps: int) -> Int64[Tensor, " d"
     return cells
 
 
+def coarsened(cells: Int64[Tensor, " c"], level: int) -> Int64[Tensor, " d"]:
+    """Cells of finer levels replaced by those of ``level`` that hold them, each once, ascending; others stay."""
+    while bool((finer := levels_of(cells) > level).any()):
+        cells = torch.cat([cells[~finer], parents(cells[finer])])
+    return cells.unique()
+
+
 def find(ordered: Int64[Tensor, " n"], keys: Int64[Tensor, "*m"]) -> tuple[Int64[Tensor, "*m"], Bool[Tensor, "*m"]]:
     """Row of each key in an ascending list and whether it is there; the row of an absent key means nothing."""
     if ordered.shape[0] == 0:

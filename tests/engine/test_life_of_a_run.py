@@ -17,12 +17,14 @@ from small_runs import ONE_STAGE, TWO_STAGES, small_config, train
 from torch import Tensor
 
 from sculpt_framework.config import MethodConfig
+from sculpt_framework.engine import steering as steering_module
 from sculpt_framework.engine.checkpoint import read_checkpoint, write_checkpoint
 from sculpt_framework.engine.events import Event
 from sculpt_framework.engine.milestones import Milestones
 from sculpt_framework.engine.pipeline import Pipeline
 from sculpt_framework.engine.run import load_finished, run, run_status
 from sculpt_framework.engine.state import Progress
+from sculpt_framework.engine.steering import Steering
 from sculpt_framework.errors import CheckpointError, OutputError, TrainingFailed
 from sculpt_framework.evaluation.certificate import certify
 from sculpt_framework.evaluation.curve import read_curve
@@ -74,13 +76,20 @@ def test_a_resumed_run_ends_as_an_unbroken_one(scene: Scene, variant: str, tmp_p
     np.testing.assert_array_equal(whole.colors, resumed.colors)
 
 
-def test_measuring_and_saving_leave_training_as_it_is(scene: Scene, monkeypatch: pytest.MonkeyPatch):
+def test_measuring_saving_and_watching_leave_training_as_it_is(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+):
     config = VARIANTS["learnable"]
     plain = train(config, scene).result
     due = Milestones.due
     monkeypatch.setattr(Milestones, "due", lambda self, *where: due(self, *where) or "time")
     hasty = replace(config, trainer=replace(config.trainer, checkpoint_seconds=0.0))
-    watched = Pipeline(hasty, scene=scene, save=lambda *state: None, snapshot_seconds=0.0).train()
+    events: list[Event] = []
+    pipeline = Pipeline(hasty, scene=scene, save=lambda *state: None, should_stop=lambda: steering())
+    monkeypatch.setattr(steering_module, "_SNAPSHOT_SHARE", 1e9)
+    steering = Steering(pipeline, emit=events.append, folder=tmp_path, snapshot_seconds=0.0)
+    watched = pipeline.train()
+    assert [event.event for event in events] == ["snapshot"] * (config.trainer.outer_steps - 1)
     np.testing.assert_array_equal(plain.vertices, watched.vertices)
 
 
@@ -227,7 +236,7 @@ def test_repeated_failure_ends_with_the_best_mesh_so_far(config: MethodConfig, m
 
 
 def test_a_failure_before_any_surface_has_nothing_to_save(config: MethodConfig, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("sculpt_framework.engine.pipeline.fit_field", poisoned_fit)
+    monkeypatch.setattr("sculpt_framework.engine.initial_fit.fit_field", poisoned_fit)
     with pytest.raises(TrainingFailed, match="after 0 outer steps"):
         run(config, resume=None, started=0.0)
     assert config.output is not None

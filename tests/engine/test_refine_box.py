@@ -103,6 +103,17 @@ def test_a_run_ends_with_finer_triangles_in_the_box(scene: Scene):
     assert 1.6 < np.median(edge[height < -margin]) / np.median(edge[height > margin]) < 2.4
 
 
+def test_a_run_spares_cells_that_its_pixels_do_not_show(scene: Scene):
+    few = {"outer_steps": 3, "fit_steps": 40, "polish_steps": 0, "stages": TWO_STAGES}
+    plain, spared = (train(small_config(**few, cell_pixels=pixels), scene) for pixels in (None, 6.0))
+    assert all(np.isfinite(spared.losses))
+    # The second stage has cells of half the size, which are less than six pixels wide.
+    assert len(spared.result.mesh.faces) < 0.5 * len(plain.result.mesh.faces)
+    certificate = certify(spared.result.mesh.vertices, spared.result.mesh.faces)
+    assert certificate.watertight
+    assert certificate.consistently_oriented
+
+
 def test_a_run_with_boxes_is_restored_as_it_was(scene: Scene):
     config = refined(scene, refine_box_levels=2)
     trainer = build_parts(config, scene.box, torch.Generator()).trainer

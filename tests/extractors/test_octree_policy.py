@@ -12,12 +12,16 @@ from sculpt_framework.geometry.grid import Grid, RefineBox, grid_over_box, pack,
 from sculpt_framework.geometry.octree import Octree, leaves, vertex_level
 from sculpt_framework.geometry.octree_band import grow_octree
 from sculpt_framework.geometry.octree_policy import (
+    LevelMap,
     coarsen,
+    level_map,
     may_hold_surface,
     refine,
+    roots_under,
     wanted_levels,
 )
 from sculpt_framework.testing import sphere_sdf, torus_sdf
+from sculpt_framework.types import Camera
 
 BOX = RefineBox(minimum=(0.3, -0.2, -0.2), maximum=(0.7, 0.2, 0.2), levels=2)
 
@@ -127,3 +131,57 @@ def test_coarsening_gives_the_largest_cells_that_are_fine_enough():
     assert torch.bincount(levels_of(cells)).tolist() == [1, 4, 64 + 32]
     coarse = pack(0, torch.tensor([[0, 1, 1]]))
     assert torch.equal(coarsen(grid, coarse, wanted), coarse)
+
+
+def camera_at(place: tuple[float, float, float], focal: float, size: int) -> Camera:
+    """A camera that looks along -x from ``place``."""
+    pose = torch.eye(4, dtype=torch.float64)
+    pose[:3, :3] = torch.tensor([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]], dtype=torch.float64)
+    pose[:3, 3] = -pose[:3, :3] @ torch.tensor(place, dtype=torch.float64)
+    return Camera(world_to_camera=pose, fx=focal, fy=focal, cx=size / 2, cy=size / 2, width=size, height=size)
+
+
+def test_levels_that_pixels_are_worth():
+    grid = grid_over_box(torch.tensor([1.0, 1.0, 1.0]), cells=8)
+    near, far = camera_at((3.0, 0.5, 0.5), 200.0, 100), camera_at((9.0, 0.0, 0.0), 200.0, 400)
+    both = level_map(grid, [near, far], 2.0).levels
+    wide = level_map(grid, [far], 2.0).levels
+    assert bool((both >= wide).all())
+    random = torch.Generator().manual_seed(3)
+    points = 2.4 * torch.rand(3000, 3, generator=random, dtype=torch.float64) - 1.2
+    cells = pack(0, grid.cells_at(points))
+    for worth, cameras in ((both, [near, far]), (wide, [far])):
+        best = torch.zeros(len(points), dtype=torch.float64)
+        for camera in cameras:
+            local = points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
+            pixel = local[:, :2] / local[:, 2:] * camera.fx + camera.cx
+            inside = ((pixel > 0) & (pixel < camera.width)).all(dim=1) & (local[:, 2] > 0)
+            best = torch.where(inside, torch.maximum(best, camera.fx / local[:, 2]), best)
+        # The level is that of the point of a cell next to a camera, so never too coarse, and little too fine.
+        found = LevelMap(levels=worth).at(cells).double()
+        justified = torch.log2(grid.base_cell * best / 2.0).floor().clamp(min=0)
+        assert bool((found >= justified).all())
+        seen = best > 0
+        if len(cameras) == 1:
+            assert bool((found[seen] <= justified[seen] + 1).all())
+    # Of what the near camera alone would show better, most lies outside its image and is left to the far one.
+    assert 0.0 < float((both > wide).double().mean()) < 0.9
+    assert level_map(grid, [], 2.0).levels.max() == 0
+
+
+def test_wanted_levels_follow_what_is_worth_while():
+    grid = grid_over_box(torch.tensor([1.0, 1.0, 1.0]), cells=8, level=2)
+    levels = torch.zeros(grid.base_shape, dtype=torch.int64)
+    levels[levels.shape[0] // 2 :] = 1
+    levels[-3:] = 5
+    box = RefineBox(minimum=(-0.3, -0.3, -0.3), maximum=(-0.1, 0.1, 0.1), levels=1)
+    wanted = wanted_levels(grid, [box], LevelMap(levels=levels))
+    x = torch.tensor([0, 7, 9])
+    roots = pack(0, torch.stack([x, torch.full_like(x, 1), torch.full_like(x, 1)], dim=1))
+    assert wanted(roots).tolist() == [0, 1, 2]
+    assert wanted(cells_at_level(roots, 2)).unique().tolist() == [0, 1, 2]
+    reached = pack(2, grid.cells_at(torch.tensor([[-0.2, 0.0, 0.0]])))
+    assert wanted(reached).tolist() == [3]
+    assert roots_under(grid, LevelMap(levels=levels)).level == 0
+    assert roots_under(grid, LevelMap(levels=levels + 1)).level == 1
+    assert roots_under(grid, LevelMap(levels=levels + 9)) == grid

@@ -1,162 +1,227 @@
-"""The page in the browser: what it shows, that its switches work, that it goes away."""
+"""The run's end of the viewer: it starts the page's process, leaves it snapshots, takes its commands, ends it."""
 
-import io
+import json
+import os
+import signal
 import socket
-import threading
+import subprocess
+import sys
 import time
 import urllib.request
 from collections.abc import Callable, Iterator
-from contextlib import redirect_stdout
+from dataclasses import replace
+from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
-import viser
-import zstandard
-from websockets.sync.client import connect
-from websockets.typing import Subprotocol
 
+from sculpt_framework import registry
+from sculpt_framework.engine.commands import Pause, TakeSnapshot, command_to_json
 from sculpt_framework.engine.events import Event
-from sculpt_framework.engine.reconstruction import Reconstruction
+from sculpt_framework.engine.snapshot import Snapshot
 from sculpt_framework.errors import ConfigError
-from sculpt_framework.types import Gaussians
+from sculpt_framework.geometry.grid import Grid, pack
+from sculpt_framework.serialization import config_to_json
+from sculpt_framework.types import Box, Gaussians, Surface
+from sculpt_framework.viewing.frames import read_frame, step_files
+from sculpt_plugins.observers.recorder.config import RecorderConfig
 from sculpt_plugins.observers.viser.config import ViserConfig
-from sculpt_plugins.observers.viser.viewer import ViserViewer
-
-STEP = {"loss": 0.0123, "faces": 4}
-STAGE = {"index": 0, "count": 3, "grid": [32, 32, 30]}
+from sculpt_plugins.observers.viser.observer import ViserObserver
 
 
-def event(name: str, **data: object) -> Event:
-    return Event(t_train=2.0, t_wall=3.0, outer=7, event=name, data=data)
+def event(name: str, outer: int = 7, t_train: float = 2.0, **data: object) -> Event:
+    return Event(t_train=t_train, t_wall=3.0, outer=outer, event=name, data=data)
 
 
-def tetrahedron(size: float = 1.0) -> Reconstruction:
-    vertices = size * np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
-    faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
-    gaussians = Gaussians(
-        means=torch.from_numpy(vertices[faces].mean(axis=1)).float(),
-        scales=torch.full((4, 3), 0.1),
-        rotations=torch.eye(3).expand(4, 3, 3),
-        opacities=torch.full((4,), 0.99),
-        sh=torch.zeros(4, 1, 3),
-        face=torch.arange(4),
+def tetrahedron() -> Snapshot:
+    vertices = torch.tensor([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    faces = torch.tensor([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
+    return Snapshot(
+        surface=Surface(vertices=vertices, faces=faces, face_keys=torch.arange(4)),
+        gaussians=Gaussians(
+            means=vertices[faces].mean(dim=1),
+            scales=torch.full((4, 3), 0.1),
+            rotations=torch.eye(3).expand(4, 3, 3),
+            opacities=torch.full((4,), 0.99),
+            sh=torch.zeros(4, 1, 3),
+            face=torch.arange(4),
+        ),
+        box=Box(minimum=torch.full((3,), -2.0), maximum=torch.full((3,), 2.0)),
+        grid=Grid(origin=(-1.0, -1.0, -1.0), base_shape=(4, 4, 4), base_cell=0.5),
+        cells=pack(0, torch.tensor([[1, 1, 1], [2, 2, 2]])),
     )
-    return Reconstruction(
-        vertices=vertices, faces=faces, colors=np.full((4, 3), 0.5, dtype=np.float32), gaussians=gaussians
-    )
 
 
-def eventually(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 10.0
+def eventually(condition: Callable[[], bool], seconds: float = 60.0) -> None:
+    deadline = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < deadline
         time.sleep(0.02)
 
 
-def received(viewer: ViserViewer, *words: bytes) -> bool:
-    """Whether a browser that opens the page now is told all of ``words``."""
-    address = viewer.address.replace("http", "ws")
-    protocol = Subprotocol(f"viser-v{viser.__version__}")
-    missing = set(words)
-    with connect(address, subprotocols=[protocol], max_size=None, compression=None) as browser:
-        while missing:
-            try:
-                message = browser.recv(timeout=1.0)
-            except TimeoutError:
-                return False
-            assert isinstance(message, bytes)
-            told = _unpacked(message)
-            missing = {word for word in missing if word not in told}
-    return True
-
-
-def _unpacked(message: bytes) -> bytes:
-    """The names and texts in a message: two lengths of 8 bytes, then that much Zstandard; arrays follow."""
-    return zstandard.decompress(message[16 : 16 + int.from_bytes(message[8:16], "little")])
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
 
 
 @pytest.fixture
-def viewer() -> Iterator[ViserViewer]:
-    viewer = ViserViewer(ViserConfig(port=0))
-    yield viewer
-    viewer.close()
+def run_dir(tmp_path: Path) -> Path:
+    config = replace(registry.load_method("gaussian-sculpting-tiny")(), data="demo", observers=(RecorderConfig(),))
+    (tmp_path / "config.json").write_text(config_to_json(config))
+    return tmp_path
 
 
-def test_the_page_answers(viewer: ViserViewer):
-    with urllib.request.urlopen(viewer.address, timeout=10) as answer:
-        assert answer.status == 200
-        assert b"<html" in answer.read()
+class Scripted:
+    """In place of the page's process: says ``lines``, then waits for the end of its input."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, *lines: object):
+        said = "".join(json.dumps(line) + "\n" for line in lines)
+        script = f"import sys; sys.stdout.write({said!r}); sys.stdout.flush(); sys.stdin.read()"
+
+        def start(config: ViserConfig, run_dir: Path) -> subprocess.Popen:
+            pipe = subprocess.PIPE
+            return subprocess.Popen([sys.executable, "-c", script], stdin=pipe, stdout=pipe, text=True)
+
+        monkeypatch.setattr("sculpt_plugins.observers.viser.observer._start", start)
 
 
-def test_a_browser_gets_the_surface_and_the_figures(viewer: ViserViewer):
-    viewer.notify(event("run_started", method="m"))
-    viewer.notify(event("stage", **STAGE))
-    viewer.notify(event("outer_step", **STEP))
-    viewer.notify(event("evaluation", psnr=31.5, iou=None, chamfer_ps=0.002))
-    viewer.notify(event("snapshot", reconstruction=tetrahedron()))
-    words = (b"/mesh", b"/gaussians", b"32x32x30", b"loss 0.0123", b"psnr 31.5, chamfer_ps 0.002")
-    eventually(lambda: received(viewer, *words))
+@pytest.fixture
+def watched(run_dir: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[ViserObserver]:
+    """A viewer with one browser, whose process is scripted."""
+    Scripted(monkeypatch, {"watching": 1}, {"command": command_to_json(Pause())})
+    observer = ViserObserver(ViserConfig(port=free_port(), seconds=0.0), run_dir)
+    eventually(lambda: observer.watching == 1 and len(observer._commands) == 1)
+    yield observer
+    observer.close()
 
 
-def test_switches_show_and_hide(viewer: ViserViewer):
-    viewer.notify(event("snapshot", reconstruction=tetrahedron()))
-    eventually(lambda: viewer._splats is not None)
-    assert (viewer._mesh.visible, viewer._splats.visible) == (True, False)
-    viewer._show_mesh.value, viewer._show_splats.value = False, True
-    eventually(lambda: (viewer._mesh.visible, viewer._splats.visible) == (False, True))
-    shown = viewer._mesh
-    viewer.notify(event("snapshot", reconstruction=tetrahedron(2.0)))
-    eventually(lambda: viewer._mesh is not shown)
-    assert (viewer._mesh.visible, viewer._splats.visible) == (False, True)
+def test_commands_of_the_page_reach_the_run_once(watched: ViserObserver):
+    assert watched.take_commands() == [Pause(), TakeSnapshot()]
+    # What has been asked for is on its way; asking again would be for nothing.
+    assert watched.take_commands() == []
 
 
-def test_an_empty_surface_is_not_sent(viewer: ViserViewer):
-    nothing = tetrahedron()
-    empty = Reconstruction(
-        vertices=nothing.vertices[:0], faces=nothing.faces[:0], colors=nothing.colors[:0], gaussians=nothing.gaussians
-    )
-    viewer.notify(event("snapshot", reconstruction=empty))
-    viewer.notify(event("outer_step", **STEP))
-    eventually(lambda: "loss 0.0123" in viewer._text.content)
-    assert viewer._mesh is None
+def test_a_snapshot_is_left_for_the_page(watched: ViserObserver, run_dir: Path):
+    watched.take_commands()
+    watched.notify(event("snapshot", snapshot=tetrahedron()))
+    live = run_dir / "evolution" / "live.npz"
+    eventually(live.exists)
+    frame = read_frame(live)
+    assert (frame.outer, frame.t_train) == (7, 2.0)
+    assert frame.faces.shape == (4, 3)
+    assert frame.vertices.max() == 2.0
+    assert frame.gaussians is not None
+    assert frame.cells is not None
+    assert frame.cells.side.tolist() == [1.0, 1.0]
+    eventually(lambda: [outer for outer, _ in step_files(run_dir)] == [7])
 
 
-def test_training_does_not_wait_for_browsers(viewer: ViserViewer):
+def test_steps_are_kept_less_and_less_often(watched: ViserObserver):
+    asked = []
+    watched.watching = 0
+    for tenths in range(1, 600):
+        watched.notify(event("outer_step", outer=tenths, t_train=tenths / 10))
+        if TakeSnapshot() in watched.take_commands():
+            asked.append(tenths / 10)
+            watched.notify(event("snapshot", outer=tenths, t_train=tenths / 10, snapshot=tetrahedron()))
+    early, late = [t for t in asked if t < 6], [t for t in asked if t > 6]
+    assert len(early) == pytest.approx(len(late), abs=3)
+    assert 25 < len(asked) < 45
+
+
+def test_nobody_looking_costs_nothing(watched: ViserObserver):
+    watched.take_commands()
+    watched.notify(event("snapshot", snapshot=tetrahedron()))
+    watched.watching = 0
+    watched.notify(event("outer_step", outer=8, t_train=2.001))
+    assert watched.take_commands() == []
+
+
+def test_training_does_not_wait_for_the_page(watched: ViserObserver, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("sculpt_plugins.observers.viser.observer.write_frame", lambda *a, **k: time.sleep(0.5))
+    snapshot, began = tetrahedron(), time.monotonic()
+    for _ in range(200):
+        watched.notify(event("snapshot", snapshot=snapshot))
+    # Waiting for each would take 100 s.
+    assert time.monotonic() - began < 20
+
+
+def test_nonsense_from_the_page_is_passed_over(
+    run_dir: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+):
+    Scripted(monkeypatch, {"command": {"do": "explode"}}, ["?"], {"watching": 2})
+    observer = ViserObserver(ViserConfig(port=free_port()), run_dir)
+    eventually(lambda: observer.watching == 2)
+    observer.close()
+    assert "is no command" in caplog.text
+
+
+def test_a_page_that_dies_leaves_the_run_alone(
+    run_dir: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+):
+    Scripted(monkeypatch, {"watching": 1})
+    observer = ViserObserver(ViserConfig(port=free_port()), run_dir)
+    eventually(lambda: observer.watching == 1)
+    observer._process.kill()
+    eventually(lambda: observer.watching == 0)
+    eventually(lambda: "sculpt-view" in caplog.text)
+    observer.notify(event("snapshot", snapshot=tetrahedron()))
+    observer.close()
+
+
+def test_a_page_that_hangs_is_ended(run_dir: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("sculpt_plugins.observers.viser.observer._LAST_WORDS_SECONDS", 0.3)
+    Scripted(monkeypatch, {"watching": 1})
+    observer = ViserObserver(ViserConfig(port=free_port()), run_dir)
+    eventually(lambda: observer.watching == 1)
+    os.kill(observer._process.pid, signal.SIGSTOP)
     began = time.monotonic()
-    for _ in range(1000):
-        viewer.notify(event("snapshot", reconstruction=tetrahedron()))
-    assert time.monotonic() - began < 1.0
+    observer.close()
+    assert time.monotonic() - began < 5
+    assert observer._process.returncode is not None
 
 
-def test_closing_sends_the_last_news_and_leaves_nothing_behind():
-    before = set(threading.enumerate())
-    viewer = ViserViewer(ViserConfig(port=0))
-    port = int(viewer.address.rpartition(":")[2])
-    viewer.notify(event("run_ended", status="finished"))
-    said = io.StringIO()
-    with redirect_stdout(said):
-        viewer.close()
-    assert "finished" in viewer._text.content
-    assert said.getvalue() == ""
+def test_the_real_page_answers_and_goes_with_the_run(run_dir: Path, monkeypatch: pytest.MonkeyPatch):
+    # A machine may be busy; what counts is that it ends by itself.
+    monkeypatch.setattr("sculpt_plugins.observers.viser.observer._LAST_WORDS_SECONDS", 120.0)
+    port = free_port()
+    observer = ViserObserver(ViserConfig(port=port), run_dir)
+    eventually(lambda: observer.address is not None)
+    assert observer.address == f"http://127.0.0.1:{port}"
+    with urllib.request.urlopen(observer.address, timeout=30) as answer:
+        assert b"<html" in answer.read()
+    observer.close()
+    assert observer._process.returncode == 0
     with socket.socket() as probe:
         assert probe.connect_ex(("127.0.0.1", port)) != 0
-    eventually(lambda: not set(threading.enumerate()) - before)
 
 
-def test_a_taken_port_is_one_clear_line():
+def test_the_viewer_needs_the_recorder(run_dir: Path):
+    config = replace(registry.load_method("gaussian-sculpting-tiny")(), observers=(ViserConfig(),))
+    (run_dir / "config.json").write_text(config_to_json(config))
+    with pytest.raises(ConfigError, match="--observers viser recorder"):
+        ViserObserver(ViserConfig(port=free_port()), run_dir)
+
+
+def test_a_taken_port_is_one_clear_line(run_dir: Path):
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
         other.listen()
         port = other.getsockname()[1]
         with pytest.raises(ConfigError) as error:
-            ViserViewer(ViserConfig(port=port))
+            ViserObserver(ViserConfig(port=port), run_dir)
     assert str(error.value).startswith(f"the viewer cannot listen on 127.0.0.1:{port} (Address already in use)")
     assert "--observers.viser.port" in str(error.value)
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize("options", [{"host": "203.0.113.7"}, {"port": 70_000}])
-def test_an_address_that_is_not_ours_is_one_clear_line(options: dict):
+@pytest.mark.parametrize("host", ["0.0.0.0", "203.0.113.7", "::", "example.org"])
+def test_other_machines_are_shown_the_tunnel_instead(run_dir: Path, host: str):
+    with pytest.raises(ConfigError, match=r"ssh -L 7007:127\.0\.0\.1:7007 .*, then open http://127\.0\.0\.1:7007"):
+        ViserObserver(ViserConfig(host=host), run_dir)
+
+
+def test_a_port_that_is_none_is_one_clear_line(run_dir: Path):
     with pytest.raises(ConfigError, match="the viewer cannot listen on"):
-        ViserViewer(ViserConfig(**options))
+        ViserObserver(ViserConfig(port=70_000), run_dir)

@@ -1,6 +1,6 @@
 """The ``flexicubes`` extractor: learnable tables round the pure functions of this package."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -8,11 +8,12 @@ from jaxtyping import Float, Int64
 from torch import Tensor
 
 from sculpt_framework.extractors import Extraction, RefiningExtractor, SdfFunction
-from sculpt_framework.geometry.band import find, levels_of, track
+from sculpt_framework.geometry.band import Band, find, levels_of, track
 from sculpt_framework.geometry.grid import Grid, RefineBox, pack, unpack_ijk
 from sculpt_framework.geometry.octree import corner_keys, heirs, vertex_level
-from sculpt_framework.geometry.octree_band import grow_octree
-from sculpt_framework.geometry.octree_policy import coarsen, wanted_levels
+from sculpt_framework.geometry.octree_band import OctreeBand, grow_octree
+from sculpt_framework.geometry.octree_hold import HeldSurface, Hold
+from sculpt_framework.geometry.octree_policy import LevelMap, coarsen, roots_under, wanted_levels
 from sculpt_framework.keyed import KeyedTable
 from sculpt_plugins.extractors.flexicubes.config import FlexiCubesConfig
 from sculpt_plugins.extractors.flexicubes.surface import grid_surface, octree_surface
@@ -48,6 +49,8 @@ class FlexiCubes(RefiningExtractor):
         self.config = config
         self._grid = grid
         self._boxes: tuple[RefineBox, ...] = ()
+        self._worth: LevelMap | None = None
+        self._hold: Hold | None = None
         self._device = device
         self._dtype = dtype
         self._tables: dict[str, KeyedTable] = {}
@@ -65,7 +68,7 @@ class FlexiCubes(RefiningExtractor):
 
     @property
     def tables(self) -> dict[str, KeyedTable]:
-        return self._tables
+        return self._tables if self._hold is None else {**self._tables, **self._hold.tables}
 
     def set_grid(self, grid: Grid) -> None:
         """Cells take over the weights, and their optimiser state, of the cells they lie in or hold.
@@ -74,6 +77,8 @@ class FlexiCubes(RefiningExtractor):
         """
         if grid.at_level(0) != self._grid.at_level(0):
             raise ValueError("set_grid changes the level of a grid, not its box")
+        if self._hold is not None and grid != self._grid:
+            raise ValueError("the grid of a surface that is held stays what it is")
         wanted_levels(grid, self._boxes)
         if grid != self._grid and self.config.learn_deformation:
             self._tables["corners"] = KeyedTable({"delta": self.config.deformation_rate})
@@ -83,22 +88,34 @@ class FlexiCubes(RefiningExtractor):
         wanted_levels(self._grid, boxes)
         self._boxes = tuple(boxes)
 
+    def set_worth(self, worth: LevelMap | None) -> None:
+        self._worth = worth
+
+    def hold_outside(
+        self, boxes: Sequence[RefineBox], surface: tuple[SdfFunction, Int64[Tensor, " s"]] | None = None
+    ) -> None:
+        hold = Hold(
+            roots_under(self._grid, self._worth), boxes, tuple(self._weight_sizes) if self.config.learn_weights else ()
+        )
+        if surface is not None:
+            with torch.no_grad():
+                band = self._follow(*surface)
+                held = HeldSurface(
+                    corners=band.corners,
+                    positions=band.corner_positions,
+                    sdf=band.corner_sdf,
+                    cells=band.cells,
+                    weights=self._cell_weights(band.cells),
+                )
+                hold.fill(held, surface[0])
+        self._hold = hold
+
     def extract(self, sdf: SdfFunction, seeds: Int64[Tensor, " s"]) -> Extraction:
-        if self.config.learn_deformation:
-            self._prepare_deformation(seeds)
-
-        def sample(corners: Tensor) -> tuple[Tensor, Tensor]:
-            positions = self._corner_positions(corners)
-            return positions, sdf(positions)
-
-        if self._boxes:
-            wanted = wanted_levels(self._grid, self._boxes)
-            band = grow_octree(sample, self._grid, coarsen(self._grid, seeds, wanted), wanted)
-            weights = self._cell_weights(band.cells)
+        band = self._follow(sdf, seeds)
+        weights = CellWeights(**self._cell_weights(band.cells))
+        if isinstance(band, OctreeBand):
             found = octree_surface(band, self.config.split, *weights.positive())
         else:
-            band = track(sample, self._grid, seeds)
-            weights = self._cell_weights(band.cells)
             found = grid_surface(band, self._grid.cell, self.config.split, *weights.positive())
         return Extraction(
             surface=found.surface,
@@ -112,10 +129,27 @@ class FlexiCubes(RefiningExtractor):
             cell_weights=weights.joined(),
         )
 
-    def _cell_weights(self, cells: Int64[Tensor, " c"]) -> CellWeights:
-        """Raw weights of the cells. New ones take over from those they lie in or hold, or start neutral."""
+    def _follow(self, sdf: SdfFunction, seeds: Int64[Tensor, " s"]) -> Band | OctreeBand:
+        """The band of the surface: plain where all cells are alike."""
+        if self.config.learn_deformation:
+            self._prepare_deformation(seeds)
+
+        def sample(corners: Tensor) -> tuple[Tensor, Tensor]:
+            positions = self._corner_positions(corners)
+            return positions, sdf(positions)
+
+        roots = roots_under(self._grid, self._worth)
+        wanted = wanted_levels(self._grid, self._boxes, self._worth)
+        if self._hold is not None:
+            return grow_octree(self._hold.sampler(sample), roots, self._hold.seeds(seeds, wanted), wanted)
+        if self._boxes or self._worth is not None:
+            return grow_octree(sample, roots, coarsen(roots, seeds, wanted), wanted)
+        return track(sample, self._grid, seeds)
+
+    def _cell_weights(self, cells: Int64[Tensor, " c"]) -> Mapping[str, Float[Tensor, "c w"]]:
+        """Raw weights of the cells, by name. New ones take over from those they lie in or hold, or start neutral."""
         if not self.config.learn_weights:
-            return CellWeights()
+            return {}
         table = self._tables["cells"]
         if not _same_keys(table.keys, cells):
             neutral = {
@@ -123,7 +157,7 @@ class FlexiCubes(RefiningExtractor):
                 for name, size in self._weight_sizes.items()
             }
             table.rekey(cells, neutral, heirs(table.keys, cells) if len(table) > 0 else None)
-        return CellWeights(**table.leaves)
+        return table.leaves if self._hold is None else self._hold.weights(cells, table.leaves)
 
     def _prepare_deformation(self, seeds: Int64[Tensor, " s"]) -> None:
         """Give every corner of the seeds, which are the cells of the last band, a row.

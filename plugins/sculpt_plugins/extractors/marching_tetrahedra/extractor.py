@@ -7,11 +7,12 @@ from jaxtyping import Float, Int64
 from torch import Tensor
 
 from sculpt_framework.extractors import Extraction, RefiningExtractor, SdfFunction
-from sculpt_framework.geometry.band import LEAST_DROP, Band, crossing_weight, track
+from sculpt_framework.geometry.band import LEAST_DROP, Band, CornerSampler, crossing_weight, levels_of, track
 from sculpt_framework.geometry.grid import Grid, RefineBox, unpack_ijk
 from sculpt_framework.geometry.octree import vertex_level
-from sculpt_framework.geometry.octree_band import grow_octree
-from sculpt_framework.geometry.octree_policy import coarsen, wanted_levels
+from sculpt_framework.geometry.octree_band import OctreeBand, grow_octree
+from sculpt_framework.geometry.octree_hold import HeldSurface, Hold
+from sculpt_framework.geometry.octree_policy import LevelMap, coarsen, roots_under, wanted_levels
 from sculpt_framework.keyed import KeyedTable
 from sculpt_framework.types import Surface
 from sculpt_plugins.extractors.marching_tetrahedra.octree import edge_lengths, march, split_leaves, with_centers
@@ -28,6 +29,8 @@ class MarchingTetrahedra(RefiningExtractor):
     def __init__(self, grid: Grid, dtype: torch.dtype):
         self._grid = grid
         self._boxes: tuple[RefineBox, ...] = ()
+        self._worth: LevelMap | None = None
+        self._hold: Hold | None = None
         self._dtype = dtype
 
     @property
@@ -36,11 +39,13 @@ class MarchingTetrahedra(RefiningExtractor):
 
     @property
     def tables(self) -> dict[str, KeyedTable]:
-        return {}
+        return {} if self._hold is None else self._hold.tables
 
     def set_grid(self, grid: Grid) -> None:
         if grid.at_level(0) != self._grid.at_level(0):
             raise ValueError("set_grid changes the level of a grid, not its box")
+        if self._hold is not None and grid != self._grid:
+            raise ValueError("the grid of a surface that is held stays what it is")
         wanted_levels(grid, self._boxes)
         self._grid = grid
 
@@ -48,18 +53,50 @@ class MarchingTetrahedra(RefiningExtractor):
         wanted_levels(self._grid, boxes)
         self._boxes = tuple(boxes)
 
+    def set_worth(self, worth: LevelMap | None) -> None:
+        self._worth = worth
+
+    def hold_outside(
+        self, boxes: Sequence[RefineBox], surface: tuple[SdfFunction, Int64[Tensor, " s"]] | None = None
+    ) -> None:
+        hold = Hold(roots_under(self._grid, self._worth), boxes)
+        if surface is not None:
+            sdf, seeds = surface
+            with torch.no_grad():
+                sample = self._sampler(sdf)
+                band = self._follow(sample, seeds)
+                corners, positions, values = band.corners, band.corner_positions, band.corner_sdf
+                if isinstance(band, OctreeBand):
+                    corners, positions, values = with_centers(band, sample)
+                held = HeldSurface(corners=corners, positions=positions, sdf=values, cells=band.cells, weights={})
+                hold.fill(held, sdf)
+        self._hold = hold
+
     def extract(self, sdf: SdfFunction, seeds: Int64[Tensor, " s"]) -> Extraction:
-        return self._extract_in_boxes(sdf, seeds) if self._boxes else self._extract_on_grid(sdf, seeds)
+        sample = self._sampler(sdf)
+        band = self._follow(sample, seeds)
+        return self._of_octree(band, sample) if isinstance(band, OctreeBand) else self._of_grid(band)
 
-    def _extract_in_boxes(self, sdf: SdfFunction, seeds: Int64[Tensor, " s"]) -> Extraction:
-        finest = self._grid.at_level(vertex_level(self._grid))
-
+    def _sampler(self, sdf: SdfFunction) -> CornerSampler:
         def sample(vertices: Tensor) -> tuple[Tensor, Tensor]:
-            positions = finest.corner_positions(unpack_ijk(vertices), self._dtype)
+            finest = self._grid.at_level(vertex_level(self._grid))
+            ijk = unpack_ijk(vertices) << (finest.level - levels_of(vertices))[:, None]
+            positions = finest.corner_positions(ijk, self._dtype)
             return positions, sdf(positions)
 
-        wanted = wanted_levels(self._grid, self._boxes)
-        band = grow_octree(sample, self._grid, coarsen(self._grid, seeds, wanted), wanted)
+        return sample if self._hold is None else self._hold.sampler(sample)
+
+    def _follow(self, sample: CornerSampler, seeds: Int64[Tensor, " s"]) -> Band | OctreeBand:
+        """The band of the surface: plain where all cells are alike."""
+        roots = roots_under(self._grid, self._worth)
+        wanted = wanted_levels(self._grid, self._boxes, self._worth)
+        if self._hold is not None:
+            return grow_octree(sample, roots, self._hold.seeds(seeds, wanted), wanted)
+        if self._boxes or self._worth is not None:
+            return grow_octree(sample, roots, coarsen(roots, seeds, wanted), wanted)
+        return track(sample, self._grid, seeds)
+
+    def _of_octree(self, band: OctreeBand, sample: CornerSampler) -> Extraction:
         keys, positions, values = with_centers(band, sample)
         inside = values.detach() < 0
         cut = march(band, split_leaves(band, inside), inside)
@@ -79,12 +116,7 @@ class MarchingTetrahedra(RefiningExtractor):
             cell_weights=None,
         )
 
-    def _extract_on_grid(self, sdf: SdfFunction, seeds: Int64[Tensor, " s"]) -> Extraction:
-        def sample(corners: Tensor) -> tuple[Tensor, Tensor]:
-            positions = self._grid.corner_positions(unpack_ijk(corners), self._dtype)
-            return positions, sdf(positions)
-
-        band = track(sample, self._grid, seeds)
+    def _of_grid(self, band: Band) -> Extraction:
         ends, vertex_of_edge = crossed_edges(band)
         flat = ends.reshape(-1)
         edge_sdf = band.corner_sdf.index_select(0, flat).reshape(-1, 2)

@@ -85,9 +85,13 @@ def error_text(data: Data) -> str:
     return ", ".join(parts)
 
 
+_FOR_REPLAY = ("command", "source", "refused")
+"""What an action carries so that it can be done again; its message says as much."""
+
+
 def message_text(data: Data) -> str:
     """A decision, an action, a warning: its subject first, the rest as it is."""
-    rest = dict(data)
+    rest = {key: value for key, value in data.items() if key not in _FOR_REPLAY}
     subject = str(rest.pop("message", None) or rest.pop("error", None) or rest.pop("item", ""))
     if "value" in rest:
         subject = f"{subject}: {rest.pop('value')}"

@@ -5,21 +5,21 @@ from typing import TYPE_CHECKING
 from sculpt_framework.config import ObserverConfig
 
 if TYPE_CHECKING:
-    from sculpt_plugins.observers.viser.viewer import ViserViewer
+    from sculpt_plugins.observers.viser.observer import ViserObserver
 
 
 @dataclass(frozen=True, kw_only=True)
 class ViserConfig(ObserverConfig):
-    """A page in the browser that shows mesh and Gaussians while they are optimised."""
+    """A page in the browser that shows the surface while it is sculpted, and steers the run."""
 
     host: str = "127.0.0.1"
-    """Address to listen on. There is no access control: other machines should come through an SSH tunnel."""
+    """Address to listen on: one of this machine's own. Other machines come through an SSH tunnel."""
     port: int = 7007
     """Port to listen on."""
     seconds: float = 2.0
-    """Least training seconds between two updates of the scene."""
+    """Least seconds between two updates of the scene, while a browser looks."""
 
-    def build(self, run_dir: Path) -> "ViserViewer":
-        from sculpt_plugins.observers.viser.viewer import ViserViewer
+    def build(self, run_dir: Path) -> "ViserObserver":
+        from sculpt_plugins.observers.viser.observer import ViserObserver
 
-        return ViserViewer(self)
+        return ViserObserver(self, run_dir)

@@ -1,0 +1,182 @@
+"""``sculpt-bench step``: what one inner step costs, part by part, and how much of it is outside the kernels."""
+
+import statistics
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from sculpt_framework import registry
+from sculpt_framework.cli.bench_splats import bumpy_sphere, bumpy_sphere_camera
+from sculpt_framework.config import RasterizerConfig
+from sculpt_framework.errors import ConfigError
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from sculpt_framework.binders import Binding
+    from sculpt_framework.engine.gaussian_scene import GaussianScene
+    from sculpt_framework.rasterizers import Rasterizer
+    from sculpt_framework.types import Surface
+
+PROGRAM = "sculpt-bench step"
+_PARTS = ("bind", "colors", "render", "loss", "constraints", "backward", "update")
+_COMPILED = ("_CompiledEncoding", "_CompiledLoss", "_Rasterize")
+_IDLE = 3
+Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class StepRequest:
+    """Time an inner step of the default method on a bumpy sphere: places, colours, rendering, loss, gradient, update.
+
+    Of a step of colours alone, and of one in which places and scales learn too. Medians over the repeats.
+    """
+
+    faces: Annotated[int, tyro.conf.arg(metavar="N")] = 120_000
+    """Faces, each with one Gaussian."""
+    size: Annotated[int, tyro.conf.arg(metavar="PIXELS")] = 400
+    """Side of the square image."""
+    repeats: Annotated[int, tyro.conf.arg(metavar="N")] = 15
+    """Timed steps, after three that are not."""
+    threads: Annotated[int, tyro.conf.arg(metavar="N")] = 1
+    """CPU threads."""
+    json: Flag = False
+    """Print JSON."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class StepRow:
+    """Medians of wall milliseconds over the steps, by part; ``cpu_ms`` is of the whole step, of all threads."""
+
+    step: str
+    gaussians: int
+    size: int
+    threads: int
+    total_ms: float
+    cpu_ms: float
+    bind_ms: float
+    """Gaussians from faces and rows."""
+    colors_ms: float
+    """Colours from the appearance, with the encoding's kernel."""
+    render_ms: float
+    """With the rasteriser's kernels."""
+    loss_ms: float
+    """With the kernel, which forms value and gradient."""
+    constraints_ms: float
+    backward_ms: float
+    """With the backward kernels of rasteriser and encoding."""
+    update_ms: float
+    kernels_ms: float
+    """Of all these, what is inside the compiled functions of rasteriser, loss and encoding."""
+    outside_kernels: float
+    """Share of the total that is not."""
+
+
+def bench_step(words: Sequence[str]) -> None:
+    """Measure and print. Raises ConfigError; exits as tyro does for ``--help`` and values of a wrong type."""
+    request = tyro.cli(StepRequest, args=words, prog=PROGRAM)
+    if min(request.faces - 3, request.size, request.repeats, request.threads) < 1:
+        raise ConfigError("--size, --repeats and --threads take numbers from 1 upwards, --faces from 4.")
+    import torch
+
+    torch.set_num_threads(request.threads)
+    rows = [_measure(request, places) for places in (False, True)]
+    if request.json:
+        from sculpt_framework.export.json_text import json_text
+
+        sys.stdout.write(json_text([asdict(row) for row in rows], indent=2) + "\n")
+        return
+    for row in rows:
+        sys.stdout.write(f"{row.step}: {row.gaussians} Gaussians, {row.size}x{row.size}, {row.threads} thread(s)\n")
+        for name in ("total", "cpu", *_PARTS, "kernels"):
+            sys.stdout.write(f"  {name:12} {getattr(row, name + '_ms'):8.2f} ms\n")
+        sys.stdout.write(f"  outside the kernels {row.outside_kernels:.1%}\n")
+
+
+def _measure(request: StepRequest, places: bool) -> StepRow:
+    """An inner step as ``BiLevelTrainer.inner_loop`` takes it."""
+    import torch
+    from torch.profiler import ProfilerActivity, profile, record_function
+
+    from sculpt_framework.engine.gaussian_scene import assemble
+    from sculpt_framework.rendering.photometric import l1_dssim
+
+    scene, surface, rasterizer, constraints = _parts(request.faces)
+    camera, background = bumpy_sphere_camera(request.size, torch.device("cpu")), torch.zeros(3)
+    target = torch.rand(request.size, request.size, 3, generator=torch.Generator().manual_seed(0))
+    fixed = scene.bind(surface, learn=False)
+
+    def step() -> None:
+        scene.zero_grad()
+        with record_function("bind"):
+            binding = scene.bind(surface, learn=True) if places else fixed
+        with record_function("colors"):
+            gaussians = assemble(binding, scene.harmonics(binding.means, degree=0, learn=True))
+        with record_function("render"):
+            image = rasterizer.render(gaussians, camera, background, low_pass_px2=0.05)
+        with record_function("loss"):
+            loss = l1_dssim(image.rgb, target, 0.2)
+        with record_function("constraints"):
+            if places:
+                loss = loss + sum(weight * constraint(binding) for weight, constraint in constraints)
+        with record_function("backward"):
+            loss.backward()
+        with record_function("update"):
+            scene.step(1.0)
+
+    parts: dict[str, list[float]] = {name: [] for name in ("total", "cpu", "kernels", *_PARTS)}
+    for count in range(_IDLE + request.repeats):
+        wall, cpu = time.perf_counter(), time.process_time()
+        if count < _IDLE:
+            step()
+            continue
+        with profile(activities=[ProfilerActivity.CPU]) as profiled:
+            wall, cpu = time.perf_counter(), time.process_time()
+            step()
+            wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+        averages = {event.key: event for event in profiled.key_averages()}
+        parts["total"].append(1e3 * wall)
+        parts["cpu"].append(1e3 * cpu)
+        for name in _PARTS:
+            parts[name].append(1e-3 * averages[name].cpu_time_total if name in averages else 0.0)
+        parts["kernels"].append(
+            sum(1e-3 * event.self_cpu_time_total for key, event in averages.items() if key.startswith(_COMPILED))
+        )
+    medians = {f"{name}_ms": round(statistics.median(values), 3) for name, values in parts.items()}
+    return StepRow(
+        step="places and colours" if places else "colours alone",
+        gaussians=request.faces,
+        size=request.size,
+        threads=request.threads,
+        outside_kernels=round(1 - medians["kernels_ms"] / medians["total_ms"], 3),
+        **medians,
+    )
+
+
+def _parts(
+    faces: int,
+) -> "tuple[GaussianScene, Surface, Rasterizer, list[tuple[float, Callable[[Binding], Tensor]]]]":
+    """The default method's binder, appearance and constraints on a bumpy sphere, and the CPU's rasteriser."""
+    import torch
+
+    from sculpt_framework.engine.gaussian_scene import GaussianScene
+    from sculpt_framework.types import Surface
+
+    device = torch.device("cpu")
+    method = registry.load_method("gaussian-sculpting")()
+    rasterizer = registry.default("rasterizer", "numba")
+    assert isinstance(rasterizer, RasterizerConfig)  # noqa: S101 - what the registry promises for the slot
+    points, triangles = bumpy_sphere(faces)
+    surface = Surface(
+        vertices=torch.from_numpy(points).float(),
+        faces=torch.from_numpy(triangles).long(),
+        face_keys=torch.arange(len(triangles)),
+    )
+    scene = GaussianScene(method.binder.build(), method.appearance.build(device))
+    scene.follow(surface)
+    constraints = [(config.weight, config.build()) for config in method.constraints]
+    return scene, surface, rasterizer.build(device), constraints

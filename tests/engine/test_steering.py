@@ -1,0 +1,343 @@
+"""A run that is told things: what each command does, that it is told, and that it can be told again."""
+
+import json
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from small_runs import ONE_STAGE, small_config
+
+from sculpt_framework.config import MethodConfig
+from sculpt_framework.engine.commands import (
+    AddBox,
+    ClearBoxes,
+    Command,
+    ExportMesh,
+    Pause,
+    Recorded,
+    Resume,
+    SetRate,
+    SetWeight,
+    Stop,
+    SwitchConstraint,
+    TakeSnapshot,
+    command_from_json,
+    command_to_json,
+    read_recorded,
+)
+from sculpt_framework.engine.events import Event
+from sculpt_framework.engine.pipeline import Pipeline
+from sculpt_framework.engine.reconstruction import Reconstruction
+from sculpt_framework.engine.regions import Region, untaught
+from sculpt_framework.engine.steering import Steering
+from sculpt_framework.errors import ConfigError
+from sculpt_framework.evaluation.certificate import certify
+from sculpt_framework.evaluation.geometry import MeasuredMesh
+from sculpt_framework.export.mesh_files import read_colored_mesh
+from sculpt_framework.types import Scene
+from sculpt_plugins.observers.recorder.observer import event_line
+
+EVERYTHING: tuple[Command, ...] = (
+    Pause(),
+    Resume(),
+    Stop(),
+    SetWeight(slot="losses", name="eikonal", weight=0.5),
+    SwitchConstraint(name="spacing", on=False),
+    SetRate(part="surface", factor=0.0),
+    AddBox(kind="freeze", minimum=(0.0, 0.0, 0.0), maximum=(1.0, 1.0, 2.0)),
+    ClearBoxes(),
+    ExportMesh(),
+    TakeSnapshot(),
+)
+
+
+class Told:
+    """A run that gets commands after outer steps, and what came of it."""
+
+    def __init__(
+        self,
+        config: MethodConfig,
+        scene: Scene,
+        folder: Path,
+        told: Sequence[tuple[int, Command]],
+        replay: bool = False,
+    ):
+        (folder / "checkpoints").mkdir(exist_ok=True)
+        self.events: list[Event] = []
+        self.meshes: dict[int, Reconstruction] = {}
+        """What was extracted in the last step before, by outer steps."""
+        pipeline = Pipeline(config, scene=scene, emit=self.events.append, should_stop=lambda: watched())
+        left = list(told)
+
+        def due() -> list[Command]:
+            now = [command for outer, command in left if outer == pipeline.outer]
+            left[:] = [(outer, command) for outer, command in left if outer != pipeline.outer]
+            return now
+
+        self.steering = Steering(
+            pipeline,
+            emit=self.events.append,
+            folder=folder,
+            sources=() if replay else (due,),
+            replay=[Recorded(outer=outer, command=command) for outer, command in told] if replay else (),
+        )
+
+        def watched() -> bool:
+            if pipeline.parts.trainer.extraction is not None:
+                self.meshes[pipeline.outer] = pipeline.current()
+            return self.steering()
+
+        self.pipeline = pipeline
+        self.result = pipeline.train()
+
+    @property
+    def actions(self) -> list[Event]:
+        return [event for event in self.events if event.event == "action"]
+
+    @property
+    def steps(self) -> list[Event]:
+        return [event for event in self.events if event.event == "outer_step"]
+
+
+def test_commands_survive_json():
+    for command in EVERYTHING:
+        assert command_from_json(json.loads(json.dumps(command_to_json(command)))) == command
+
+
+@pytest.mark.parametrize(
+    ("value", "complaint"),
+    [
+        ({"do": "explode"}, "is no command; expected one of pause, resume"),
+        ("pause", "is no command"),
+        ({"do": "pause", "now": True}, "takes nothing, not"),
+        ({"do": "set-weight", "slot": "losses", "name": "eikonal"}, "takes"),
+        ({"do": "set-weight", "slot": "losses", "name": "eikonal", "weight": -1}, "weight of command set-weight is -1"),
+        ({"do": "set-weight", "slot": "losses", "name": "eikonal", "weight": float("nan")}, "weight of command"),
+        ({"do": "set-weight", "slot": "fields", "name": "mlp", "weight": 1}, "expected losses or constraints"),
+        ({"do": "switch-constraint", "name": "spacing", "on": "yes"}, "expected true or false"),
+        ({"do": "set-rate", "part": "surface", "factor": 1e9}, "expected 0 to 100"),
+        ({"do": "add-box", "kind": "refine", "minimum": [0, 0, 0], "maximum": [1, 0, 1]}, "is empty"),
+        ({"do": "add-box", "kind": "refine", "minimum": [0, 0], "maximum": [1, 1, 1]}, "expected three numbers"),
+    ],
+)
+def test_what_is_no_command_is_said(value: object, complaint: str):
+    with pytest.raises(ConfigError, match=complaint) as error:
+        command_from_json(value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_pause_takes_no_steps_and_no_training_time(scene: Scene, tmp_path: Path):
+    config = small_config(outer_steps=4, stages=ONE_STAGE)
+    seconds = 0.6
+    resumed: list[float] = []
+
+    class Resumes:
+        began: float | None = None
+
+        def __call__(self) -> Sequence[Command]:
+            if self.began is None:
+                return ()
+            if time.monotonic() - self.began < seconds:
+                return ()
+            resumed.append(time.monotonic() - self.began)
+            self.began = None
+            return (Resume(),)
+
+    resumes = Resumes()
+    events: list[Event] = []
+
+    def emit(event: Event) -> None:
+        events.append(event)
+        if event.data.get("message") == "paused":
+            resumes.began = time.monotonic()
+
+    pipeline = Pipeline(config, scene=scene, emit=emit, should_stop=lambda: steering())
+    told = iter([[], [], [Pause()]])
+    steering = Steering(pipeline, emit=emit, folder=tmp_path, sources=[lambda: next(told, []), resumes])
+    pipeline.train()
+    paused, resumed_event = [event for event in events if event.event == "action"]
+    between = events[events.index(paused) + 1 : events.index(resumed_event)]
+    assert not [event for event in between if event.event == "outer_step"]
+    assert resumed_event.t_wall - paused.t_wall >= seconds
+    assert resumed_event.t_train - paused.t_train < 0.1 * seconds
+    assert [event.outer for event in events if event.event == "outer_step"] == [1, 2, 3, 4]
+
+
+def test_stop_ends_the_run_and_its_mesh_is_whole(scene: Scene, tmp_path: Path):
+    run = Told(small_config(outer_steps=6, stages=ONE_STAGE), scene, tmp_path, [(2, Stop())])
+    assert [event.outer for event in run.steps] == [1, 2]
+    assert certify(run.result.mesh.vertices, run.result.mesh.faces).watertight
+
+
+def test_weights_constraints_and_rates_do_what_they_say(scene: Scene, tmp_path: Path):
+    config = small_config(outer_steps=4, stages=ONE_STAGE, gradient_isolation=False)
+    name = "eikonal"
+    told = [
+        (1, SetWeight(slot="losses", name=name, weight=0.0)),
+        (2, SwitchConstraint(name="mee-scale", on=False)),
+        (3, SetRate(part="surface", factor=0.0)),
+        (3, SetRate(part="gaussians", factor=0.0)),
+    ]
+    run = Told(config, scene, tmp_path, told)
+    terms = [event.data["terms"] for event in run.steps]
+    assert terms[0][name] > 0
+    assert terms[1][name] == 0
+    assert ["mee-scale" in each for each in terms] == [True, True, False, False]
+    assert run.pipeline.parts.trainer.surface_rate == 0
+    before = {name: value.clone() for name, value in run.pipeline.parts.trainer.field.state_dict().items()}
+    report = run.pipeline.parts.trainer.outer_step(run.pipeline._images, config.trainer.stages[0], 1.0)
+    after = run.pipeline.parts.trainer.field.state_dict()
+    assert np.isfinite(report.loss)
+    assert all(bool((before[name] == after[name]).all()) for name in before)
+
+
+def test_what_does_not_fit_the_run_is_refused_and_changes_nothing(scene: Scene, tmp_path: Path):
+    config = small_config(outer_steps=2, stages=ONE_STAGE)
+    told = [
+        (1, SetWeight(slot="losses", name="magic", weight=1.0)),
+        (1, SwitchConstraint(name="eikonal", on=False)),
+        (1, AddBox(kind="refine", minimum=(50.0, 50.0, 50.0), maximum=(51.0, 51.0, 51.0))),
+    ]
+    run = Told(config, scene, tmp_path, told)
+    assert [event.data["refused"] for event in run.actions] == [True] * 3
+    assert "'magic' among its losses; it has photometric" in run.actions[0].data["message"]
+    assert "no constraint 'eikonal'" in run.actions[1].data["message"]
+    assert "outside the object's box" in run.actions[2].data["message"]
+    plain = Told(config, scene, tmp_path, [])
+    np.testing.assert_array_equal(run.result.vertices, plain.result.vertices)
+
+
+def half(scene: Scene, *, upper: bool) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    low, high = scene.box.minimum.tolist(), scene.box.maximum.tolist()
+    middle = 0.5 * (low[2] + high[2])
+    if upper:
+        low[2] = middle
+    else:
+        high[2] = middle
+    return (low[0], low[1], low[2]), (high[0], high[1], high[2])
+
+
+def test_refining_a_box_makes_finer_triangles_there(scene: Scene, tmp_path: Path):
+    low, high = half(scene, upper=True)
+    config = small_config(outer_steps=6, stages=ONE_STAGE)
+    run = Told(config, scene, tmp_path, [(3, AddBox(kind="refine", minimum=low, maximum=high))])
+    mesh = run.result.mesh
+    certificate = certify(mesh.vertices, mesh.faces)
+    assert certificate.watertight
+    corners = mesh.vertices[mesh.faces]
+    edge = np.linalg.norm(corners[:, 0] - corners[:, 1], axis=1)
+    height = (corners[..., 2].mean(axis=1) - float(scene.box.center[2])) / scene.box.scale
+    assert 1.6 < np.median(edge[height < -0.15]) / np.median(edge[height > 0.15]) < 2.4
+    back = Told(config, scene, tmp_path, [(3, AddBox(kind="refine", minimum=low, maximum=high)), (5, ClearBoxes())])
+    assert len(back.result.faces) < 0.7 * len(run.result.faces)
+
+
+def test_a_frozen_box_stays_and_the_rest_moves(scene: Scene, tmp_path: Path):
+    low, high = half(scene, upper=True)
+    config = small_config(outer_steps=10, stages=ONE_STAGE, fit_steps=20)
+    run = Told(config, scene, tmp_path, [(3, AddBox(kind="freeze", minimum=low, maximum=high))])
+    trainer, (frozen,) = run.pipeline.parts.trainer, run.pipeline.parts.trainer.frozen
+    passage = 2 * run.pipeline.parts.grid.cell
+    with torch.no_grad():
+        points = trainer.extract().surface.vertices
+        held, kept, free = trainer.signed_distance(points), frozen.field(points).sdf, trainer.field(points).sdf
+    depth = frozen.region.depth(points)
+    deep, outside = depth > passage, depth < 0
+    assert bool(deep.any())
+    assert torch.equal(held[deep], kept[deep])
+    assert torch.equal(held[outside], free[outside])
+    assert float((free - kept)[deep].abs().max()) > 1e-4
+    # The mesh may still shift inside its cells, as the extractor's weights settle.
+    reference = MeasuredMesh(run.meshes[4].mesh, 100)
+    distance = np.sqrt(reference.squared_distances(run.result.vertices)[0]) / scene.box.scale
+    height = (run.result.vertices[:, 2] - float(scene.box.center[2])) / scene.box.scale
+    assert distance[height > passage].max() < 0.02 * run.pipeline.parts.grid.cell
+
+
+def test_images_teach_nothing_where_they_are_ignored(scene: Scene, tmp_path: Path):
+    trainer = Told(small_config(outer_steps=1, stages=ONE_STAGE), scene, tmp_path, []).pipeline.parts.trainer
+    region = Region(minimum=-scene.box.half_sides, maximum=scene.box.half_sides * scene.box.half_sides.new([1, 1, 0]))
+    surface = trainer.extract().surface
+    shielded = untaught([region], surface)
+    corners = shielded.vertices.sum(dim=1)
+    inside = surface.vertices.detach()[:, 2] < 0
+    assert bool(inside.any())
+    assert bool((~inside).any())
+    assert corners[~inside].sum().requires_grad
+    surface.vertices.retain_grad()
+    shielded = untaught([region], surface)
+    shielded.vertices.sum().backward()
+    assert surface.vertices.grad is not None
+    assert bool((surface.vertices.grad[inside] == 0).all())
+    assert bool((surface.vertices.grad[~inside] == 1).all())
+
+
+def test_an_export_is_the_mesh_as_it_is(scene: Scene, tmp_path: Path):
+    run = Told(small_config(outer_steps=3, stages=ONE_STAGE), scene, tmp_path, [(2, ExportMesh())])
+    vertices, faces, colors = read_colored_mesh(Path(run.actions[0].data["path"]))
+    np.testing.assert_allclose(vertices, run.meshes[2].vertices, atol=1e-6)
+    np.testing.assert_array_equal(faces, run.meshes[2].faces)
+    assert colors is not None
+    assert Path(run.actions[0].data["path"]).with_suffix(".glb").is_file()
+
+
+def test_a_replayed_run_ends_as_the_one_it_follows(scene: Scene, tmp_path: Path):
+    config = small_config(outer_steps=6, stages=ONE_STAGE)
+    low, high = half(scene, upper=False)
+    told = [
+        (1, SetWeight(slot="losses", name="silhouette", weight=3.0)),
+        (2, AddBox(kind="ignore", minimum=low, maximum=high)),
+        (3, SetRate(part="surface", factor=2.0)),
+        (5, Stop()),
+    ]
+    first = Told(config, scene, tmp_path, told)
+    path = tmp_path / "events.jsonl"
+    path.write_text("".join(event_line(event) for event in first.events if event.event != "snapshot") + '{"v": 1, "t_')
+    recorded = read_recorded(path)
+    assert [(each.outer, each.command) for each in recorded] == told
+    again = Told(config, scene, tmp_path, told, replay=True)
+    np.testing.assert_array_equal(first.result.vertices, again.result.vertices)
+    plain = Told(replace(config, trainer=replace(config.trainer, outer_steps=5)), scene, tmp_path, [])
+    assert not np.array_equal(first.result.vertices, plain.result.vertices)
+
+
+def test_what_a_resumed_run_did_not_do_again_is_not_replayed(tmp_path: Path):
+    def line(event: str, outer: int, **data: object) -> str:
+        return json.dumps({"v": 1, "t_train": 0, "t_wall": 0, "outer": outer, "event": event, "data": data}) + "\n"
+
+    kept, lost = SetRate(part="surface", factor=0.5), SetRate(part="surface", factor=0.1)
+    path = tmp_path / "events.jsonl"
+    path.write_text(
+        line("outer_step", 1)
+        + line("action", 2, message="", command=command_to_json(kept))
+        + line("action", 9, message="", command=command_to_json(lost))
+        + line("run_started", 0)
+        + line("action", 5, message="going on after outer step 5")
+        + line("action", 7, message="", command=command_to_json(Pause()))
+    )
+    assert read_recorded(path) == [Recorded(outer=2, command=kept)]
+
+
+def test_a_replay_that_cannot_be_read_is_one_line(tmp_path: Path):
+    with pytest.raises(ConfigError, match=r"--replay .* cannot be read .*; expected the events.jsonl of a run"):
+        read_recorded(tmp_path / "none.jsonl")
+
+
+def test_a_frozen_surface_outlives_a_resumed_run(scene: Scene, tmp_path: Path):
+    low, high = half(scene, upper=True)
+    config = small_config(outer_steps=3, stages=ONE_STAGE)
+    box = AddBox(kind="freeze", minimum=low, maximum=high)
+    first = Told(config, scene, tmp_path, [(1, box)]).pipeline.parts.trainer.frozen[0]
+    pipeline = Pipeline(replace(config, seed=7), scene=scene)
+    steering = Steering(pipeline, emit=lambda event: None, folder=tmp_path)
+    steering.take_up([Recorded(outer=1, command=box)], outer=2)
+    again = pipeline.parts.trainer.frozen[0]
+    points = first.region.minimum + 0.5 * (first.region.maximum - first.region.minimum)
+    assert float(first.field(points[None]).sdf.detach()) == float(again.field(points[None]).sdf)
+    assert float(first.field(points[None]).sdf.detach()) != float(
+        pipeline.parts.trainer.field(points[None]).sdf.detach()
+    )

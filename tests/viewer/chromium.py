@@ -1,0 +1,152 @@
+"""A headless Chromium, driven over its DevTools protocol."""
+
+import base64
+import itertools
+import json
+import re
+import shutil
+import subprocess
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from websockets.sync.client import ClientConnection, connect
+
+_NAMES = ("chromium", "chromium-browser", "google-chrome")
+_OPTIONS = (
+    "--headless=new",
+    "--no-sandbox",
+    "--disable-dev-shm-usage",
+    "--disable-extensions",
+    "--no-first-run",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--remote-debugging-port=0",
+    "--window-size=1500,950",
+)
+
+
+def find_chromium() -> str:
+    """Path of the browser; skips the test, saying what to install, where there is none."""
+    for name in _NAMES:
+        path = shutil.which(name)
+        if path is not None:
+            return path
+    pytest.skip("no Chromium on PATH; on Debian: apt-get install chromium")
+
+
+class Chromium:
+    """One browser process; ``open`` gives a page."""
+
+    def __init__(self) -> None:
+        self._folder = tempfile.TemporaryDirectory(prefix="chromium-", ignore_cleanup_errors=True)
+        words = [find_chromium(), *_OPTIONS, f"--user-data-dir={self._folder.name}", "about:blank"]
+        self.process = subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
+        assert self.process.stderr is not None
+        for line in self.process.stderr:
+            found = re.search(r"DevTools listening on (ws://\S+)", line)
+            if found:
+                self._address = found[1]
+                break
+        else:
+            raise RuntimeError("the browser did not start")
+
+    def open(self, url: str) -> "Page":
+        return Page(self._address, url)
+
+    def kill(self) -> None:
+        """As if it had crashed."""
+        self.process.kill()
+        self.process.wait()
+
+    def close(self) -> None:
+        if self.process.poll() is None:
+            self.process.terminate()
+            try:
+                self.process.wait(timeout=10)
+            except subprocess.TimeoutExpired:
+                self.process.kill()
+                self.process.wait()
+        if self.process.stderr is not None:
+            self.process.stderr.close()
+        self._folder.cleanup()
+
+
+class Page:
+    """A tab. Calls wait for the browser's answer."""
+
+    def __init__(self, address: str, url: str):
+        self._socket: ClientConnection = connect(address, max_size=None, compression=None)
+        self._ids = itertools.count(1)
+        self._session: str | None = None
+        self.requests: list[str] = []
+        """Addresses the page has asked for."""
+        target = self.call("Target.createTarget", url="about:blank")["targetId"]
+        self._session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+        for domain in ("Page", "Runtime", "Network"):
+            self.call(f"{domain}.enable")
+        self.call("Emulation.setDeviceMetricsOverride", width=1500, height=950, deviceScaleFactor=1, mobile=False)
+        self.call("Page.navigate", url=url)
+
+    def call(self, method: str, **arguments: object) -> dict[str, Any]:
+        number = next(self._ids)
+        message: dict[str, object] = {"id": number, "method": method, "params": arguments}
+        if self._session is not None:
+            message["sessionId"] = self._session
+        self._socket.send(json.dumps(message))
+        while True:
+            answer = json.loads(self._socket.recv(timeout=120))
+            if answer.get("method") == "Network.requestWillBeSent":
+                self.requests.append(answer["params"]["request"]["url"])
+            if answer.get("id") == number:
+                if "error" in answer:
+                    raise RuntimeError(f"{method}: {answer['error']}")
+                return answer["result"]
+
+    def evaluate(self, script: str) -> Any:
+        result = self.call("Runtime.evaluate", expression=script, awaitPromise=True, returnByValue=True)
+        if "exceptionDetails" in result:
+            raise RuntimeError(f"{script}: {result['exceptionDetails']}")
+        return result["result"].get("value")
+
+    def text(self) -> str:
+        return self.evaluate("document.body ? document.body.innerText : ''")
+
+    def wait_for(self, words: str, seconds: float = 90.0) -> None:
+        """Until the page's text has ``words``."""
+        deadline = time.monotonic() + seconds
+        while words not in self.text():
+            assert time.monotonic() < deadline, f"{words!r} is not in the page:\n{self.text()}"
+            time.sleep(0.2)
+
+    def click(self, label: str) -> None:
+        """Press the button, tab or checkbox with this label, as a mouse does."""
+        script = """
+            (label => {
+                const all = [...document.querySelectorAll('button, label, [role=tab], .mantine-Checkbox-label')];
+                const found = all.find(each => each.innerText.trim() === label && each.offsetParent !== null);
+                if (!found) return null;
+                found.scrollIntoView({block: 'center'});
+                const box = found.getBoundingClientRect();
+                return [box.x + box.width / 2, box.y + box.height / 2];
+            })
+        """
+        place = self.evaluate(f"({script})({json.dumps(label)})")
+        assert place is not None, f"nothing is labelled {label!r}:\n{self.text()}"
+        x, y = place
+        for kind in ("mousePressed", "mouseReleased"):
+            self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+
+    def reload(self) -> None:
+        self.call("Page.reload")
+
+    def screenshot(self, path: Path) -> bytes:
+        data = base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(data)
+        return data
+
+    def close(self) -> None:
+        self._socket.close()

@@ -1,0 +1,215 @@
+"""The page as a client of its protocol sees it: what is shown, what its controls send, whom it refuses."""
+
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+import viser._messages as messages
+from websockets.exceptions import ConnectionClosed
+
+from sculpt_framework.engine.commands import Command, Pause, Stop
+from sculpt_framework.errors import DataError
+from sculpt_framework.types import Scene
+from sculpt_framework.viewing.frames import FOLDER, LIVE, write_frame
+from sculpt_framework.viewing.html import write_html
+from sculpt_framework.viewing.run_folder import RunFolder
+from sculpt_framework.viewing.show import Show
+
+from .protocol import announce, connected, received, send
+from .runs import make_run, octahedron
+
+
+def eventually(condition: Callable[[], bool], seconds: float = 30.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+@pytest.fixture
+def sent() -> list[Command]:
+    return []
+
+
+def no_photographs(run: RunFolder) -> Scene:
+    raise DataError("they are gone")
+
+
+@pytest.fixture
+def show(tmp_path: Path, sent: list[Command], monkeypatch: pytest.MonkeyPatch) -> Iterator[Show]:
+    monkeypatch.setattr(RunFolder, "load_scene", no_photographs)
+    show = Show(make_run(tmp_path), "127.0.0.1", 0, sent.append)
+    yield show
+    show.close()
+
+
+def address(show: Show) -> str:
+    return f"http://127.0.0.1:{show.port}"
+
+
+def told(show: Show) -> list[dict]:
+    with connected(address(show)) as client:
+        return received(client, 0.7)
+
+
+def names(told: list[dict]) -> set[str]:
+    return {message["name"] for message in told if message["type"] != "RemoveSceneNodeMessage" and "name" in message}
+
+
+def test_the_page_shows_the_run(show: Show):
+    eventually(lambda: show._scene is not None)
+    show.update()
+    messages_ = told(show)
+    text = str([each for each in messages_ if each["type"].startswith("Gui")])
+    for words in ("**shape** by *tiny*", "Step 20, 2 s of training, about 8 s left", "8 faces, 8 Gaussians, 100 MB"):
+        assert words in text
+    assert "chamfer_ps 0.01, psnr 21.5" in text
+    assert "decision: item initial surface, value Sphere" in text
+    assert "After 20 steps, 2.0 s of training: 8 faces, 8 Gaussians." in text
+    assert "No photographs: they are gone" in text
+    assert {"/mesh", "/box"} <= names(messages_)
+    assert "/gaussians" not in names(messages_)
+    assert sum(each["type"] == "GuiUplotMessage" for each in messages_) == 3
+
+
+def test_switches_add_layers(show: Show):
+    show.update()
+    for name in ("wireframe", "gaussians", "cells"):
+        show.stage.switches[name].value = True
+    show.update()
+    assert {"/wireframe", "/gaussians", "/cells", "/cells/level-1"} <= names(told(show))
+    show.stage.switches["mesh"].value = False
+    show.update()
+    hidden = [
+        each for each in told(show) if each["type"] == "SetSceneNodeVisibilityMessage" and each["name"] == "/mesh"
+    ]
+    assert [each["visible"] for each in hidden] == [False]
+
+
+def test_a_newer_state_replaces_the_older(show: Show, tmp_path: Path):
+    show.update()
+    assert "After 20 steps" in show.stage._step_text.content
+    write_frame(tmp_path / FOLDER / LIVE, octahedron(1.1), outer=30, t_train=3.0, whole=True)
+    show.update()
+    assert "After 30 steps" in show.stage._step_text.content
+
+
+def test_the_slider_goes_back_in_time(show: Show, tmp_path: Path):
+    show.update()
+    show.stage._step.value = 0
+    show.update()
+    assert "After 1 steps, 0.1 s of training" in show.stage._step_text.content
+    # It stays there whatever the run does, until it is moved back to the end.
+    write_frame(tmp_path / FOLDER / LIVE, octahedron(1.1), outer=30, t_train=3.0, whole=True)
+    show.update()
+    assert "After 1 steps" in show.stage._step_text.content
+    show.stage._step.value = show.stage._step.max
+    show.update()
+    assert "After 30 steps" in show.stage._step_text.content
+
+
+def press(show: Show, label: str) -> None:
+    """Press the button with this label as a browser does."""
+    with connected(address(show)) as client:
+        announce(client)
+        found = [
+            each
+            for each in received(client, 0.7)
+            if each["type"] == "GuiButtonMessage" and each["props"]["label"] == label
+        ]
+        send(client, messages.GuiUpdateMessage(uuid=found[0]["uuid"], updates={"value": True}))
+        time.sleep(0.3)
+
+
+def test_controls_send_commands(show: Show, sent: list[Command]):
+    press(show, "Pause")
+    eventually(lambda: sent == [Pause()])
+    press(show, "Stop and save")
+    eventually(lambda: sent == [Pause(), Stop()])
+
+
+def test_a_box_is_sent_in_world_frame(show: Show, sent: list[Command]):
+    show.update()
+    show.controls._place_box()
+    assert show.controls._gizmo is not None
+    show.controls._gizmo.position = (0.0, 1.0, 2.0)
+    show.controls._size.value = (1.0, 2.0, 4.0)
+    show.controls._send_box("refine")
+    (command,) = sent
+    assert (command.kind, command.minimum, command.maximum) == ("refine", (-0.5, 0.0, 0.0), (0.5, 2.0, 4.0))
+
+
+def test_two_browsers_see_the_same_and_are_counted(show: Show):
+    show.update()
+    with connected(address(show)) as first, connected(address(show)) as second:
+        announce(first)
+        announce(second)
+        eventually(lambda: show.watching == 2)
+        assert names(received(first, 0.7)) == names(received(second, 0.7))
+        first.close()
+        eventually(lambda: show.watching == 1)
+
+
+def test_pages_of_other_sites_are_refused(show: Show):
+    show.update()
+    with connected(address(show), origin="https://example.org") as client, pytest.raises(ConnectionClosed):
+        received(client, 5.0)
+    with connected(address(show), origin=address(show)) as client:
+        assert received(client, 0.7)
+
+
+def test_a_browser_cannot_have_the_page_shared(show: Show, monkeypatch: pytest.MonkeyPatch):
+    asked = []
+    monkeypatch.setattr(show.server, "request_share_url", lambda *a, **k: asked.append(1))
+    with connected(address(show)) as client:
+        announce(client)
+        send(client, messages.ShareUrlRequest())
+        send(client, messages.ShareUrlDisconnect())
+        eventually(lambda: show.watching == 1)
+        time.sleep(0.2)
+    assert not asked
+
+
+def test_a_page_in_one_file_needs_no_server(tmp_path: Path):
+    out = tmp_path / "evolution.html"
+    assert write_html(make_run(tmp_path), out) == 3
+    text = out.read_text()
+    assert "__VISER_EMBED_DATA__" in text
+    assert "<script src=" not in text
+    assert 'rel="stylesheet" href=' not in text
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        (["nowhere"], "error: nowhere is not a run directory: it has no config.json"),
+        (["RUN", "--host", "0.0.0.0"], "ssh -L 7007:127.0.0.1:7007"),
+        (["RUN", "--port", "70000"], "choose another --port"),
+    ],
+)
+def test_mistakes_are_one_line_and_exit_code_2(tmp_path: Path, words: list[str], complaint: str):
+    run = str(make_run(tmp_path))
+    words = [run if word == "RUN" else word for word in words]
+    done = subprocess.run(
+        [sys.executable, "-m", "sculpt_framework.cli.view", *words],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert complaint in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+def test_a_run_without_a_viewer_imports_none_of_it():
+    script = "import sculpt_framework.engine.run, sys; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120, check=True)
+    names = done.stdout.split()
+    assert "sculpt_framework.engine.steering" in names
+    assert not [
+        name for name in names if name.split(".")[0] == "viser" or "viewing" in name or "observers.viser" in name
+    ]

@@ -32,6 +32,18 @@ def write_atomically(path: Path, content: bytes | Callable[[BinaryIO], None]) ->
         raise cannot_write(path, error) from error
 
 
+def remove_partial_files(folder: Path) -> None:
+    """Remove what writers that were killed have left in the folder and below it. No writer may be at work there.
+
+    Raises OutputError where the system refuses.
+    """
+    for path in folder.rglob(".*.partial"):
+        try:
+            path.unlink(missing_ok=True)
+        except OSError as error:
+            raise cannot_write(path, error) from error
+
+
 def cannot_write(path: Path, error: OSError) -> OutputError:
     """The one line a user reads when the system refuses to write ``path``."""
     reason = error.strerror or str(error)

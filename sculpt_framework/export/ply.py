@@ -47,16 +47,21 @@ def read_vertex_rows(path: Path) -> np.ndarray:
     if not found or lines[:2] != ["ply", "format binary_little_endian 1.0"]:
         raise DataError(f"{path} is not a binary little-endian PLY file")
     count, properties = 0, []
-    for words in (line.split() for line in lines[2:]):
-        if words[0] == "element":
-            if properties or words[1] != "vertex":
-                break
-            count = int(words[2])
-        elif words[0] == "property":
-            if len(words) != 3 or words[1] not in _TYPE_OF_NAME:
-                raise DataError(f"{path} has a vertex property that is not read here: {' '.join(words)}")
-            properties.append((words[2], _TYPE_OF_NAME[words[1]]))
-    row = np.dtype(properties)
+    try:
+        for words in (line.split() for line in lines[2:]):
+            if words[:1] == ["element"]:
+                if properties or words[1] != "vertex":
+                    break
+                count = int(words[2])
+            elif words[:1] == ["property"]:
+                if len(words) != 3 or words[1] not in _TYPE_OF_NAME:
+                    raise DataError(f"{path} has a vertex property that is not read here: {' '.join(words)}")
+                properties.append((words[2], _TYPE_OF_NAME[words[1]]))
+        row = np.dtype(properties)
+    except (ValueError, IndexError) as error:
+        raise DataError(f"{path} has a header that is no PLY header ({error})") from error
+    if count < 0 or row.itemsize == 0:
+        raise DataError(f"{path} has no vertices with properties")
     if len(body) < count * row.itemsize:
         raise DataError(f"{path} is cut: {count} rows of {row.itemsize} bytes announced, {len(body)} bytes found")
     return np.frombuffer(body, dtype=row, count=count)

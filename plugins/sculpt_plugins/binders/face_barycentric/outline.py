@@ -186,7 +186,8 @@ def _interpolated(depths: Float[Tensor, " n"], log_layers: Float[Tensor, " f"]) 
     """Between the values of ``rim_depths``, of which the first and the last hold beyond them."""
     at = ((log_layers - _LOG_LAYERS_FROM) / _LOG_LAYERS_STEP).clamp(0.0, len(depths) - 1.001)
     low = at.floor()
-    index = low.long()
+    # Clamped as an integer, because a NaN becomes any number.
+    index = low.long().clamp(0, len(depths) - 2)
     return torch.lerp(depths[index], depths[index + 1], at - low)
 
 

@@ -17,9 +17,9 @@ class MeeScale(Constraint):
                  an equilateral triangle lie at 1.33, and the value depends on the order of the vertices.
     ``steiner``  M = (2/3) sum_i (v_i - c)(v_i - c)^T, the Steiner circumellipse: the smallest that holds the triangle.
 
-    The eigenvalue is that of the product's trace and determinant, t/2 + sqrt(t^2/4 - d), rounded off at t^2/4 = d,
-    where both eigenvalues agree and the square root has no gradient. A face of no area is given a thickness of 1e-6
-    units, so its penalty is large but finite.
+    The eigenvalue is that of L^-1 Sigma L^-T with M = L L^T: the mean of its diagonal and the length of its deviator,
+    rounded off at 0, where both eigenvalues agree and the length has no gradient. A face of no area is given a
+    thickness of 1e-6 units, so its penalty is large but finite.
     """
 
     def __init__(self, form: str, limit: float):
@@ -42,7 +42,10 @@ def _largest_eigenvalue(metric: Float[Tensor, "f 1 2 2"], covariance: Float[Tens
     a, b, c = metric[..., 0, 0], metric[..., 0, 1], metric[..., 1, 1]
     p, q, r = covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]
     determinant = (a * c - b * b).clamp(min=_TINY * _TINY)
-    half_trace = 0.5 * (c * p - 2 * b * q + a * r) / determinant
-    product = (p * r - q * q) / determinant
-    gap = (half_trace.square() - product).clamp(min=0)
-    return half_trace + (gap + _TINY).sqrt()
+    slope = b / a
+    first = p / a
+    second = (r - 2 * slope * q + slope * slope * p) * a / determinant
+    mixed = (q - slope * p) / determinant.sqrt()
+    # A sum of squares: as trace^2 / 4 - determinant it would cancel where both eigenvalues are about the same.
+    gap = (0.5 * (first - second)).square() + mixed.square()
+    return 0.5 * (first + second) + (gap + _TINY).sqrt()

@@ -1,0 +1,1 @@
+"""Stiff and extreme cases with a figure each: what ``sculpt-stress`` runs."""

@@ -1,0 +1,76 @@
+"""What a run's own checks cost: the time spent in them beside the time of training."""
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import wraps
+from typing import Any
+
+from sculpt_framework import registry
+from sculpt_framework.engine.pipeline import Pipeline
+from sculpt_framework.stress.cases import Case, Measured
+from sculpt_framework.stress.small import small_scene, trainer_of
+
+CHECKS = ("_check_terms", "_check_scene", "_check_gradients", "_check_shape")
+"""The trainer's."""
+_LIMIT = 2.0
+_STEPS = 16
+_PIXELS = 200
+
+
+def guard_cases() -> Iterator[Case]:
+    yield Case(
+        id="guard-cost",
+        group="guard",
+        done=f"{_STEPS} outer steps of gaussian-sculpting on {_PIXELS} x {_PIXELS} images, every check timed",
+        expected="checks take less than 2 % of training time",
+        unit="% of training time",
+        limit=_LIMIT,
+        measure=_share,
+    )
+
+
+class Stopwatch:
+    """Adds up the seconds spent in functions. They do not call each other."""
+
+    def __init__(self) -> None:
+        self.seconds = 0.0
+        self.calls = 0
+
+    def timed(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        @wraps(function)
+        def call(*arguments: Any) -> Any:
+            began = time.perf_counter()
+            try:
+                return function(*arguments)
+            finally:
+                self.seconds += time.perf_counter() - began
+                self.calls += 1
+
+        return call
+
+
+def _share() -> Measured:
+    config = registry.load_method("gaussian-sculpting")()
+    trainer = replace(config.trainer, outer_steps=_STEPS, polish_steps=0, fit_steps=60)
+    config = replace(config, trainer=trainer, observers=(), data="guard")
+    pipeline = Pipeline(config, scene=small_scene(pixels=_PIXELS))
+    watch = Stopwatch()
+    for name in CHECKS:
+        setattr(trainer_of(pipeline), name, watch.timed(getattr(trainer_of(pipeline), name)))
+    seconds: list[float] = []
+    step = trainer_of(pipeline).outer_step
+
+    def timed_step(*arguments: Any) -> Any:
+        began = time.perf_counter()
+        try:
+            return step(*arguments)
+        finally:
+            seconds.append(time.perf_counter() - began)
+
+    trainer_of(pipeline).outer_step = timed_step  # pyright: ignore[reportAttributeAccessIssue]
+    pipeline.train()
+    # The first step compiles.
+    total = sum(seconds)
+    note = f"{1e3 * watch.seconds / len(seconds):.2f} ms of {1e3 * total / len(seconds):.0f} ms an outer step"
+    return Measured(value=100.0 * watch.seconds / total, note=note)

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 from jaxtyping import Bool, Float32
 
@@ -11,13 +12,15 @@ from sculpt_framework.shape_from_images.packing import PackedViews
 from sculpt_framework.shape_from_images.volume import Volume
 
 with kernel_cache("sweep", Path(__file__).with_name("sweep_kernels.py")):
-    from sculpt_framework.shape_from_images.sweep_kernels import count_agreeing, sweep
+    from sculpt_framework.shape_from_images.sweep_kernels import refine, sweep, witness
 
 _ANGLE = 20.0
 """Degrees between two views that are compared at best: more moves the image more per step of depth, but distorts it."""
 _ANGLES = (4.0, 45.0)
-_WITNESSES = 12
-"""Views that are asked whether they have the same depth."""
+_DOUBT = 1.0
+"""Agreeing points needed per contradicting one."""
+_FINER = 1.0
+"""Steps of depth per pixel of disparity, relative to those of the sweep, when depths are refined."""
 _TOLERANCE = 1.5
 """Depths are the same within so many steps of the sweep."""
 _WORST = 0.06
@@ -88,12 +91,57 @@ def find_depths(views: PackedViews, solid: Volume, options: SweepOptions) -> Dep
             depths[i],
         )
     step = float(np.median(steps)) if steps else 0.0
-    agreeing = np.zeros(depths.shape, np.int32)
-    if steps:
-        witnesses = np.full((len(views), _WITNESSES), -1, np.int64)
-        for i, others in enumerate(views.neighbours(_WITNESSES, 0.0, (0.0, 180.0))):
-            witnesses[i, : len(others)] = others
-        tolerance = np.float32(_TOLERANCE * step)
-        count_agreeing(depths, views.poses, views.lenses, views.positions, witnesses, tolerance, agreeing)
-    kept = np.where(agreeing >= options.agreeing, depths, np.float32(np.nan))
-    return DepthMaps(depths=kept, step=step, known=float(np.isfinite(kept).sum() / max(1, views.inside.sum())))
+    return _depth_maps(_agreed(views, depths, options.agreeing, tolerance=_TOLERANCE * step), views, step)
+
+
+def refine_depths(fine: PackedViews, views: PackedViews, maps: DepthMaps, options: SweepOptions) -> DepthMaps:
+    """Depth maps of the same views at a higher resolution, found near those of ``maps``, which are of ``views``.
+
+    Where that gives nothing that other views share, as on plain surfaces, depths stay as they were: without them the
+    mistakes of a few views would have no one to outvote them.
+    """
+    share_threads()
+    depths = np.full(fine.inside.shape, np.nan, np.float32)
+    coarse = depths.copy()
+    step = maps.step * float(views.lenses[0, 0] / fine.lenses[0, 0]) / _FINER
+    for i, others in enumerate(fine.neighbours(options.neighbours, _ANGLE, _ANGLES)):
+        if not np.isfinite(maps.depths[i]).any():
+            continue
+        refine(
+            fine.colors,
+            fine.inside,
+            fine.lenses,
+            i,
+            others,
+            fine.relative(i, others),
+            maps.depths[i],
+            views.lenses[i],
+            np.float32(step / float(np.linalg.norm(fine.positions[i])) ** 2),
+            int(np.ceil(maps.step / step)),
+            options.best_of,
+            np.float32(_WORST),
+            depths[i],
+            coarse[i],
+        )
+    exact = _agreed(fine, depths, options.agreeing, tolerance=_TOLERANCE * step)
+    return _depth_maps(np.where(np.isfinite(exact), exact, coarse), fine, step)
+
+
+def _agreed(
+    views: PackedViews, depths: Float32[np.ndarray, "v h w"], least: int, tolerance: float
+) -> Float32[np.ndarray, "v h w"]:
+    """Without the depths that fewer than ``least`` points of other views share, or that more of them contradict.
+
+    A highlight lies behind the surface that shows it, and so does what a repeated pattern makes believe: some views
+    agree on it, but more see the surface in front.
+    """
+    agreeing, contradicting = np.zeros(depths.shape, np.int32), np.zeros(depths.shape, np.int32)
+    witness(depths, views.poses, views.lenses, views.positions, np.float32(tolerance), agreeing, contradicting)
+    # Points fall between pixels: over 3x3 of them the two numbers can be compared.
+    balance = (agreeing - _DOUBT * contradicting).astype(np.float32)
+    around = np.stack([cv2.blur(plane, (3, 3)) for plane in balance])
+    return np.where((agreeing >= least) & (around >= 0), depths, np.float32(np.nan))
+
+
+def _depth_maps(depths: Float32[np.ndarray, "v h w"], views: PackedViews, step: float) -> DepthMaps:
+    return DepthMaps(depths=depths, step=step, known=float(np.isfinite(depths).sum() / max(1, views.inside.sum())))

@@ -30,8 +30,9 @@ _CRUMB = 1e-3
 def carve(solid: Volume, views: PackedViews, maps: DepthMaps, margin: float) -> Volume:
     """The volume's shape without what the depth maps see through, as a signed distance in object units.
 
-    ``solid`` is a signed distance. Places less than ``margin`` below its surface are left alone: depths are no more
-    exact than that. Closed bubbles inside are filled, crumbs outside removed.
+    ``solid`` is a signed distance. What depths show less than ``margin`` below its surface is left alone, as depths are
+    no more exact than that; from twice as deep on they are believed as they are. Bubbles inside are filled, crumbs
+    outside removed.
     """
     truncation = _TRUNCATION * solid.cell
     points = solid.points
@@ -40,8 +41,10 @@ def carve(solid: Volume, views: PackedViews, maps: DepthMaps, margin: float) -> 
     total, weight = total.reshape(solid.shape), weight.reshape(solid.shape)
     prior = np.clip(solid.values, -truncation, truncation)
     seen = _fill(total / np.maximum(weight, 1), np.minimum(weight, _SURE) / _SURE, prior)
-    carved = np.maximum(seen - np.float32(margin), solid.values)
-    return solid.holding(signed_distance(_one_piece(carved < 0), carved, solid.cell))
+    deeper = seen - solid.values
+    share = np.clip(deeper / np.float32(max(margin, 1e-6)) - 1, 0, 1)
+    carved = solid.values + share * deeper
+    return solid.holding(signed_distance(_one_piece(carved < 0, solid.values < 0), carved, solid.cell))
 
 
 def _fill(
@@ -65,10 +68,18 @@ def _fill(
     return phi
 
 
-def _one_piece(inside: Bool[np.ndarray, "x y z"]) -> Bool[np.ndarray, "x y z"]:
-    """Without closed bubbles and without crumbs."""
-    solid = np.asarray(ndimage.binary_fill_holes(inside), dtype=bool)
-    label = np.zeros(solid.shape, np.int32)
+def _one_piece(inside: Bool[np.ndarray, "x y z"], hull: Bool[np.ndarray, "x y z"]) -> Bool[np.ndarray, "x y z"]:
+    """Without bubbles and without crumbs. A bubble is what hangs together with the outside of the ``hull``, if at all,
+    only through openings less than three cells wide: hollows of this kind come from highlights, whose depths lie
+    inside."""
+    hull = np.asarray(ndimage.binary_fill_holes(hull), dtype=bool)
+    wide = np.asarray(ndimage.binary_erosion(~inside, border_value=1), dtype=bool)
+    label = np.zeros(inside.shape, np.int32)
+    ndimage.label(wide, output=label)
+    outside = np.bincount(label[wide & ~hull], minlength=int(label.max()) + 1) > 0
+    outside[0] = False
+    open_space = np.asarray(ndimage.binary_dilation(outside[label], mask=~inside), dtype=bool)
+    solid = hull & ~open_space
     ndimage.label(solid, output=label)
     sizes = np.bincount(label.reshape(-1))
     sizes[0] = 0

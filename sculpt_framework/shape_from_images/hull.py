@@ -15,6 +15,8 @@ from sculpt_framework.types import Camera, View
 
 _FAR = 4.0
 """Distances are cut here, in object units: beyond, only the sign matters."""
+_COVERED = 0.5
+"""Coverage from which a pixel belongs to the silhouette."""
 
 
 def visual_hull(views: Sequence[View], max_views: int, device: torch.device) -> SdfFunction:
@@ -22,11 +24,16 @@ def visual_hull(views: Sequence[View], max_views: int, device: torch.device) -> 
 
     Exact at the hull's surface up to the masks' sampling, below the true distance outside. A mask that touches the
     border of its image says nothing about what lies beyond that border. At most ``max_views`` views are used, spread
-    evenly over the list. Cameras and points are in the same frame. Raises DataError where no view has a mask.
+    evenly over the list. A mask that covers no pixel by half carves nothing: the object is thinner there than a pixel,
+    or the mask is lost. Cameras and points are in the same frame. Raises DataError where no view has a mask that
+    counts.
     """
     masked = [view for view in views if view.alpha is not None]
     if not masked:
         raise DataError("the images have no masks, so there is no visual hull to start from; use --initializer sphere")
+    masked = [view for view in masked if view.alpha is not None and bool((view.alpha >= _COVERED).any())]
+    if not masked:
+        raise DataError("all masks are empty: no pixel of any view is half covered; check the images' alpha channels")
     step = max(1, -(-len(masked) // max_views))
     carvers = [_carver(view.camera, view.alpha, device) for view in masked[::step] if view.alpha is not None]
 
@@ -46,7 +53,7 @@ def signed_mask_distance(alpha: Float[Tensor, "h w"]) -> Float[Tensor, "h w"]:
     Within a pixel of the outline the coverage itself tells where the outline runs.
     """
     coverage = alpha.cpu().numpy()
-    inside = coverage >= 0.5
+    inside = coverage >= _COVERED
     if not inside.any():
         return torch.full(coverage.shape, float(sum(coverage.shape)))
     if inside.all():

@@ -12,6 +12,8 @@ _NEVER = np.float32(1.0)
 _NEAR = np.float32(1e-3)
 _GOOD = np.float32(0.02)
 """A difference of colours that sampling and noise explain: nothing deeper is looked for."""
+_TIE = np.float32(1e-3)
+"""Costs closer than this are alike."""
 
 
 @njit(inline="always", **_OPTIONS)
@@ -100,6 +102,29 @@ def _choose(costs, ambiguity):
 
 
 @njit(inline="always", **_OPTIONS)
+def _nearest_minimum(costs, middle):
+    """(index, fraction) of the local minimum nearest to the middle among those that are the best, to what noise may
+    decide: on a plain surface that is the middle itself."""
+    count = costs.shape[0]
+    best = np.float32(np.inf)
+    for d in range(count):
+        best = min(best, costs[d])
+    limit = best + _TIE
+    for away in range(count):
+        for side in range(-1, 2, 2):
+            d = middle + side * away
+            if not (0 <= d < count and costs[d] <= limit):
+                continue
+            before = costs[d - 1] if d > 0 else costs[d]
+            after = costs[d + 1] if d + 1 < count else costs[d]
+            if costs[d] <= before and costs[d] <= after:
+                bend = before + after - 2 * costs[d]
+                fraction = np.float32(0.5) * (before - after) / bend if bend > np.float32(1e-6) else np.float32(0)
+                return d, min(max(fraction, np.float32(-0.5)), np.float32(0.5))
+    return middle, np.float32(0)
+
+
+@njit(inline="always", **_OPTIONS)
 def _cost(window, colors, lenses, others, relative, x, y, depth, across, down, best):
     """Mean of the smallest differences to ``others`` that a place at ``depth`` (x, y: its ray at depth 1) would have.
 
@@ -178,27 +203,96 @@ def sweep(colors, inside, pose, position, lenses, view, others, relative, invers
 
 
 @njit(parallel=True, **_OPTIONS)
-def count_agreeing(depths, poses, lenses, positions, others, tolerance, agreeing):
-    """How many of ``others`` [v, n] (-1: none) have, where they see a depth map's point, a depth within tolerance."""
+def refine(colors, inside, lenses, view, others, relative, known, known_lens, step, reach, best_of, worst, depths, coarse):  # fmt: skip # noqa: E501
+    """Fill ``depths`` [h, w] of one view from ``known`` [h2, w2], its depths at a lower resolution, here ``coarse``.
+
+    Each depth known within a pixel around, of the lower resolution, is tried, and ``reach`` steps to both sides;
+    ``step`` is of the inverse depth. The one of smallest cost is taken, NaN where none costs less than ``worst``.
+    """
+    height, width = depths.shape
+    lens = lenses[view]
+    count = 2 * reach + 1
+    across, down = 1 / lens[0], 1 / lens[1]
+    for row in prange(height):
+        window = np.empty((_WINDOW, 3), np.float32)
+        costs = np.empty(count, np.float32)
+        best = np.empty(best_of, np.float32)
+        tried = np.empty(9, np.float32)
+        for column in range(width):
+            depths[row, column] = np.nan
+            if row < 1 or column < 1 or row >= height - 1 or column >= width - 1 or not inside[view, row, column]:
+                continue
+            x = (np.float32(column + 0.5) - lens[2]) * across
+            y = (np.float32(row + 0.5) - lens[3]) * down
+            u, v = int(x * known_lens[0] + known_lens[2]), int(y * known_lens[1] + known_lens[3])
+            if 0 <= v < known.shape[0] and 0 <= u < known.shape[1]:
+                coarse[row, column] = known[v, u]
+            n = 0
+            for a in range(-1, 2):
+                for b in range(-1, 2):
+                    for c in range(3):
+                        window[n, c] = colors[view, row + a, column + b, c]
+                    n += 1
+            starts = 0
+            least = np.float32(worst)
+            # The middle first: what its neighbours know is often the same.
+            for n in range(9):
+                m = (n + 4) % 9
+                p, q = v + m // 3 - 1, u + m % 3 - 1
+                if not (0 <= p < known.shape[0] and 0 <= q < known.shape[1]):
+                    continue
+                start = 1 / known[p, q]
+                if not start > 0:
+                    continue
+                fresh = True
+                for other in range(starts):
+                    fresh &= abs(tried[other] - start) > step * np.float32(0.75 * reach)
+                if not fresh:
+                    continue
+                tried[starts] = start
+                starts += 1
+                for d in range(count):
+                    depth = 1 / (start + np.float32(d - reach) * step)
+                    costs[d] = _cost(window, colors, lenses, others, relative, x, y, depth, across, down, best)
+                index, fraction = _nearest_minimum(costs, reach)
+                if costs[index] < least:
+                    least = costs[index]
+                    depths[row, column] = 1 / (start + (np.float32(index - reach) + fraction) * step)
+
+
+@njit(parallel=True, **_OPTIONS)
+def witness(depths, poses, lenses, positions, tolerance, agreeing, contradicting):
+    """Per depth, how many points of other views fall on it, and how many on its way, where it should see through.
+
+    A point counts as in the way only if it is in front of the pixels around too: on an outline it may be either's.
+    """
     views, height, width = depths.shape
     for i in prange(views):
-        for row in range(height):
-            for column in range(width):
-                agreeing[i, row, column] = 0
-                depth = depths[i, row, column]
-                if not depth > 0:
-                    continue
-                ray = _ray(poses[i], lenses[i], np.float32(column + 0.5), np.float32(row + 0.5))
-                x = positions[i, 0] + depth * ray[0]
-                y = positions[i, 1] + depth * ray[1]
-                z = positions[i, 2] + depth * ray[2]
-                for q in range(others.shape[1]):
-                    other = others[i, q]
-                    if other < 0:
+        for j in range(views):
+            if j == i:
+                continue
+            for row in range(height):
+                for column in range(width):
+                    depth = depths[j, row, column]
+                    if not depth > 0:
                         continue
-                    u, v, far = _project(poses[other], lenses[other], x, y, z)
-                    if far > _NEAR and 0 <= u < width and 0 <= v < height:
-                        agreeing[i, row, column] += abs(depths[other, int(v), int(u)] - far) < tolerance
+                    ray = _ray(poses[j], lenses[j], np.float32(column + 0.5), np.float32(row + 0.5))
+                    x = positions[j, 0] + depth * ray[0]
+                    y = positions[j, 1] + depth * ray[1]
+                    z = positions[j, 2] + depth * ray[2]
+                    u, v, far = _project(poses[i], lenses[i], x, y, z)
+                    if not (far > _NEAR and 0 <= u < width and 0 <= v < height):
+                        continue
+                    p, q = int(v), int(u)
+                    seen = depths[i, p, q]
+                    if abs(seen - far) <= tolerance:
+                        agreeing[i, p, q] += 1
+                    elif seen > far:
+                        through = True
+                        for a in range(max(p - 1, 0), min(p + 2, height)):
+                            for b in range(max(q - 1, 0), min(q + 2, width)):
+                                through &= not depths[i, a, b] <= far + tolerance
+                        contradicting[i, p, q] += through
 
 
 @njit(inline="always", **_OPTIONS)
@@ -212,22 +306,46 @@ def _project(pose, lens, x, y, z):
     )
 
 
+@njit(inline="always", **_OPTIONS)
+def _between(depths, u, v, jump):
+    """Depth at (u, v), in pixels from the middle of the first: interpolated where the four around are of one surface,
+    that of the nearest surface where they are not. NaN if none of them is known, or outside of the image."""
+    height, width = depths.shape
+    if not (0 <= u < width - 1 and 0 <= v < height - 1):
+        return np.float32(np.nan)
+    column, row = int(u), int(v)
+    right, below = u - column, v - row
+    nearest, furthest = np.float32(np.inf), np.float32(-np.inf)
+    total, weight = np.float32(0), np.float32(0)
+    for a in range(2):
+        for b in range(2):
+            depth = depths[row + a, column + b]
+            if depth > 0:
+                share = (below if a == 1 else 1 - below) * (right if b == 1 else 1 - right)
+                total += share * depth
+                weight += share
+                nearest, furthest = min(nearest, depth), max(furthest, depth)
+    if not weight > 0:
+        return np.float32(np.nan)
+    return total / weight if furthest - nearest < jump else nearest
+
+
 @njit(parallel=True, **_OPTIONS)
 def fuse(points, depths, poses, lenses, truncation, total, weight):
     """Per point, the sum over views of how far in front of the seen surface it lies, and the number of such views.
 
     Cut at ``truncation`` in front; a view says nothing about what lies deeper than that behind what it sees.
     """
-    views, height, width = depths.shape
+    views = depths.shape[0]
     for n in prange(points.shape[0]):
         x, y, z = points[n, 0], points[n, 1], points[n, 2]
         total[n] = 0
         weight[n] = 0
         for i in range(views):
             u, v, far = _project(poses[i], lenses[i], x, y, z)
-            if not (far > _NEAR and 0 <= u < width and 0 <= v < height):
+            if not far > _NEAR:
                 continue
-            ahead = depths[i, int(v), int(u)] - far
+            ahead = _between(depths[i], u - np.float32(0.5), v - np.float32(0.5), truncation) - far
             if ahead >= -truncation:
                 total[n] += min(ahead, truncation)
                 weight[n] += 1

@@ -15,8 +15,12 @@ class PhotoHullConfig(InitializerConfig):
 
     max_views: int = 100
     """Use at most so many views, spread evenly over the list."""
-    cells: int = 96
-    """Cells along the longest side of the object's box; the images are scaled to as many pixels."""
+    cells: int = 128
+    """Cells along the longest side of the object's box in which depths are joined."""
+    pixels: int = 96
+    """Pixels along the longest side of the object in the images that are swept."""
+    refinements: int = 1
+    """How many times depths are made more exact at twice the resolution."""
     maps: int = 50
     """Views that get a depth map, spread evenly."""
     depths: int = 64

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from sculpt_framework.extractors import SdfFunction
 from sculpt_framework.initializers import Initializer
-from sculpt_framework.shape_from_images.depth_maps import SweepOptions, find_depths
+from sculpt_framework.shape_from_images.depth_maps import SweepOptions, find_depths, refine_depths
 from sculpt_framework.shape_from_images.fusion import carve
 from sculpt_framework.shape_from_images.hull import visual_hull
 from sculpt_framework.shape_from_images.packing import pack_views
@@ -35,7 +35,8 @@ class PhotoHull(Initializer):
         x, y, z = (float(side) for side in half_sides)
         solid = sample(hull, (x, y, z), config.cells, device)
         masked = [view for view in views if view.alpha is not None]
-        packed = pack_views(masked[:: max(1, -(-len(masked) // config.max_views))], config.cells / 2)
+        chosen = masked[:: max(1, -(-len(masked) // config.max_views))]
+        packed = pack_views(chosen, config.pixels / 2)
         options = SweepOptions(
             views=config.maps,
             depths=config.depths,
@@ -49,6 +50,9 @@ class PhotoHull(Initializer):
             why = "no views stand close enough to each other to compare their colours: start from the visual hull"
             logging.getLogger("sculpt").info(why)
             return hull
+        for level in range(config.refinements):
+            finer = pack_views(chosen, float(2**level * config.pixels))
+            packed, maps = finer, refine_depths(finer, packed, maps, options)
         carved = carve(solid, packed, maps, config.margin * maps.step).interpolator(device)
 
         def photo_hull(points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:

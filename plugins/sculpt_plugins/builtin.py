@@ -49,7 +49,10 @@ BUILTIN: dict[str, dict[str, str]] = {
     "dataset": {
         "auto": "sculpt_plugins.datasets.auto.config:AutoDatasetConfig",
         "blender": "sculpt_plugins.datasets.blender.config:BlenderConfig",
+        "colmap": "sculpt_plugins.datasets.colmap.config:ColmapConfig",
         "demo": "sculpt_plugins.datasets.demo.config:DemoConfig",
+        "idr": "sculpt_plugins.datasets.idr.config:IdrConfig",
+        "nerfstudio": "sculpt_plugins.datasets.nerfstudio.config:NerfstudioConfig",
         "omniobject3d": "sculpt_plugins.datasets.omniobject3d.config:OmniObject3DConfig",
     },
     "observers": {

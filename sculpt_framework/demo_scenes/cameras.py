@@ -20,9 +20,7 @@ _BELOW: dict[Placement, float] = {"around": 0.3, "above": 0.0, "front": 0.3}
 _FRONT = 75 / 360
 
 
-def demo_cameras(
-    count: int, resolution: int, offset: int = 0, placement: Placement = "around"
-) -> tuple[Camera, ...]:
+def demo_cameras(count: int, resolution: int, offset: int = 0, placement: Placement = "around") -> tuple[Camera, ...]:
     """``count`` cameras of square images; another ``offset`` gives others.
 
     Places follow a low-discrepancy sequence, so that any number of them is spread evenly, and every tenth too.

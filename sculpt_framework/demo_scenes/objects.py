@@ -180,9 +180,7 @@ OBJECTS = {
             name="flask",
             summary="shiny: highlights that move with the camera, little texture",
             distance=flask,
-            texture=SolidTexture(
-                ground=(0.25, 0.4, 0.35), patches=(0.28, 0.42, 0.4), spots=(0.22, 0.36, 0.4), seed=71
-            ),
+            texture=SolidTexture(ground=(0.25, 0.4, 0.35), patches=(0.28, 0.42, 0.4), spots=(0.22, 0.36, 0.4), seed=71),
             genus=1,
             gloss=0.6,
         ),

@@ -5,8 +5,6 @@ Colours are sRGB in [0, 1]; PLY and OBJ keep sRGB, as every viewer of them expec
 prescribes.
 """
 
-import json
-import struct
 from pathlib import Path
 
 import numpy as np
@@ -14,16 +12,12 @@ from jaxtyping import Float, Int64
 
 from sculpt_framework.errors import DataError
 from sculpt_framework.export.atomic import write_atomically
+from sculpt_framework.export.glb import encode_glb
 from sculpt_framework.export.ply import TRIANGLE, encode_ply
 
 Vertices = Float[np.ndarray, "v 3"]
 Faces = Int64[np.ndarray, "f 3"]
 Colors = Float[np.ndarray, "v 3"]
-
-_FLOAT, _UNSIGNED_INT = 5126, 5125
-"""glTF's component types."""
-_VERTEX_DATA, _INDEX_DATA = 34962, 34963
-"""glTF's buffer targets."""
 
 
 def write_mesh_ply(path: Path, vertices: Vertices, faces: Faces, colors: Colors | None = None) -> None:
@@ -57,45 +51,13 @@ def write_mesh_glb(path: Path, vertices: Vertices, faces: Faces, colors: Colors 
     Coordinates are not turned: glTF viewers take +y for up, so a scene with z up lies on its back in them.
     Raises OutputError where the file cannot be written.
     """
-    position = np.ascontiguousarray(vertices, dtype="<f4")
-    blocks = {"POSITION": position, "NORMAL": vertex_normals(vertices, faces).astype("<f4")}
+    blocks = {
+        "POSITION": np.ascontiguousarray(vertices, dtype="<f4"),
+        "NORMAL": vertex_normals(vertices, faces).astype("<f4"),
+    }
     if colors is not None:
         blocks["COLOR_0"] = srgb_to_linear(colors.clip(0, 1)).astype("<f4")
-    arrays = [*blocks.values(), np.ascontiguousarray(faces.reshape(-1), dtype="<u4")]
-    offsets = np.cumsum([0, *(array.nbytes for array in arrays)]).tolist()
-    views = [
-        {
-            "buffer": 0,
-            "byteOffset": offset,
-            "byteLength": array.nbytes,
-            "target": _INDEX_DATA if array.ndim == 1 else _VERTEX_DATA,
-        }
-        for offset, array in zip(offsets, arrays, strict=False)
-    ]
-    accessors = [
-        {"bufferView": index, "componentType": _FLOAT, "count": len(array), "type": "VEC3"}
-        for index, array in enumerate(blocks.values())
-    ]
-    # glTF asks for the range of positions, so that viewers can frame the model before reading it.
-    accessors[0] |= {"min": position.min(0).tolist(), "max": position.max(0).tolist()} if len(position) else {}
-    accessors.append({"bufferView": len(blocks), "componentType": _UNSIGNED_INT, "count": faces.size, "type": "SCALAR"})
-    primitive = {
-        "attributes": {name: index for index, name in enumerate(blocks)},
-        "indices": len(blocks),
-        "material": 0,
-    }
-    document = {
-        "asset": {"version": "2.0", "generator": "gaussian-sculpting"},
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0}],
-        "meshes": [{"primitives": [primitive]}],
-        "materials": [{"pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0}}],
-        "accessors": accessors,
-        "bufferViews": views,
-        "buffers": [{"byteLength": offsets[-1]}],
-    }
-    write_atomically(path, _pack_glb(document, b"".join(array.tobytes() for array in arrays)))
+    write_atomically(path, encode_glb(blocks, faces))
 
 
 def read_colored_mesh(path: Path) -> tuple[Vertices, Faces, Colors | None]:
@@ -139,20 +101,3 @@ def srgb_to_linear(colors: Colors) -> Colors:
 
 def _to_bytes(values: np.ndarray) -> np.ndarray:
     return np.rint(values.clip(0, 1) * 255).astype(np.uint8)
-
-
-def _pack_glb(document: dict, binary: bytes) -> bytes:
-    """The GLB container: a header and two chunks, each padded to four bytes (JSON with spaces)."""
-    text = json.dumps(document, separators=(",", ":")).encode("ascii")
-    text += b" " * (-len(text) % 4)
-    binary += b"\0" * (-len(binary) % 4)
-    length = 12 + 8 + len(text) + 8 + len(binary)
-    return b"".join(
-        [
-            struct.pack("<4sII", b"glTF", 2, length),
-            struct.pack("<I4s", len(text), b"JSON"),
-            text,
-            struct.pack("<I4s", len(binary), b"BIN\0"),
-            binary,
-        ]
-    )

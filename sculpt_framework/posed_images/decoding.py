@@ -27,10 +27,15 @@ class DecodedImage:
     """Bits per channel in the file: 8 or 16."""
     lossless: bool
     """False for JPEG."""
+    full_size: tuple[int, int]
+    """Width and height of the image in the file, upright if it was asked for, before it was reduced."""
 
 
-def read_image(path: Path) -> DecodedImage:
-    """Read an 8- or 16-bit image with 1, 3 or 4 channels. The EXIF orientation is not applied.
+def read_image(path: Path, *, orientation: int = 1, divide: int = 1) -> DecodedImage:
+    """Read an 8- or 16-bit image with 1, 3 or 4 channels.
+
+    ``orientation`` is the EXIF one to undo; what the file says itself is not looked at. ``divide`` reads 1/divide of
+    the pixels along each side, means over their areas; colours are weighted by alpha.
 
     Raises DataError, with the file's name, where it is missing, empty, damaged or of another pixel type.
     """
@@ -43,12 +48,12 @@ def read_image(path: Path) -> DecodedImage:
     damage = find_damage(data)
     if damage:
         raise DataError(f"{path}: the image is damaged ({damage}); write or download it again.")
-    try:
-        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    except cv2.error:
-        pixels = None
+    jpeg = data.startswith(JPEG_START)
+    pixels, full = _decode(data, divide if jpeg else 1)
     if pixels is None:
         raise DataError(f"{path}: not an image that can be decoded; expected PNG or JPEG.")
+    pixels = _upright(pixels, orientation)
+    width, height = full[::-1] if orientation >= 5 else full
     bits = {"uint8": 8, "uint16": 16}.get(str(pixels.dtype))
     if bits is None:
         raise DataError(f"{path}: pixels are {pixels.dtype}; expected 8- or 16-bit integers.")
@@ -61,7 +66,74 @@ def read_image(path: Path) -> DecodedImage:
     bgr = np.repeat(pixels, 3, axis=2) if grey else pixels[:, :, :3]
     alpha = pixels[:, :, 3].astype(np.float32) * scale if pixels.shape[2] == 4 else None
     rgb = np.ascontiguousarray(bgr[:, :, ::-1]).astype(np.float32) * scale
-    return DecodedImage(rgb=rgb, alpha=alpha, grey=grey, bits=bits, lossless=not data.startswith(JPEG_START))
+    if divide > 1:
+        rgb, alpha = shrink(rgb, alpha, max(1, round(width / divide)), max(1, round(height / divide)))
+    return DecodedImage(rgb=rgb, alpha=alpha, grey=grey, bits=bits, lossless=not jpeg, full_size=(width, height))
+
+
+def shrink(
+    rgb: Float[np.ndarray, "h w 3"], alpha: Float[np.ndarray, "h w"] | None, width: int, height: int
+) -> tuple[Float[np.ndarray, "h2 w2 3"], Float[np.ndarray, "h2 w2"] | None]:
+    """Means over the area of each new pixel; with straight alpha, of the colours weighted by it."""
+    if rgb.shape[:2] == (height, width):
+        return rgb, alpha
+    size = (width, height)
+    if alpha is None:
+        return cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), None
+    plain = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
+    small = cv2.resize(alpha, size, interpolation=cv2.INTER_AREA)
+    weighted = cv2.resize(rgb * alpha[..., None], size, interpolation=cv2.INTER_AREA)
+    # Where nothing covers a pixel its colour means nothing, but it must not be a division by zero.
+    seen = small > 1e-4
+    straight = np.where(seen[..., None], weighted / np.maximum(small, 1e-4)[..., None], plain)
+    return straight.clip(0, 1).astype(np.float32), small
+
+
+def _decode(data: bytes, divide: int) -> tuple[np.ndarray | None, tuple[int, int]]:
+    """Stored pixels, None if they cannot be decoded, and the stored width and height.
+
+    A JPEG whose sides its decoder can halve exactly is decoded small, which is several times faster and needs memory
+    for the small image alone.
+    """
+    buffer = np.frombuffer(data, np.uint8)
+    try:
+        step = next(step for step in (8, 4, 2, 1) if divide % step == 0)
+        flags = {
+            8: cv2.IMREAD_REDUCED_COLOR_8,
+            4: cv2.IMREAD_REDUCED_COLOR_4,
+            2: cv2.IMREAD_REDUCED_COLOR_2,
+        }
+        if step > 1:
+            size = jpeg_size(data)
+            if size is not None and size[0] % step == 0 and size[1] % step == 0:
+                return cv2.imdecode(buffer, flags[step] | cv2.IMREAD_IGNORE_ORIENTATION), size
+        pixels = cv2.imdecode(buffer, cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        return None, (0, 0)
+    return pixels, (0, 0) if pixels is None else (pixels.shape[1], pixels.shape[0])
+
+
+def jpeg_size(data: bytes) -> tuple[int, int] | None:
+    """Width and height in a JPEG's frame header; None where there is none, or where its one channel is grey."""
+    at = 2
+    while at + 10 <= len(data) and data[at] == 0xFF:
+        kind, (length,) = data[at + 1], struct.unpack_from(">H", data, at + 2)
+        if 0xC0 <= kind <= 0xCF and kind not in (0xC4, 0xC8, 0xCC):
+            height, width, channels = struct.unpack_from(">HHB", data, at + 5)
+            return (width, height) if channels == 3 else None
+        at += 2 + length
+    return None
+
+
+def _upright(pixels: np.ndarray, orientation: int) -> np.ndarray:
+    """Stored pixels as the EXIF orientation wants them shown."""
+    if orientation >= 5:
+        pixels = pixels.transpose(1, 0, *range(2, pixels.ndim))
+    if orientation in (2, 3, 6, 7):
+        pixels = pixels[:, ::-1]
+    if orientation in (3, 4, 7, 8):
+        pixels = pixels[::-1]
+    return np.ascontiguousarray(pixels)
 
 
 def find_damage(data: bytes) -> str | None:

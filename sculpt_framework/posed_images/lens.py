@@ -9,7 +9,7 @@ from sculpt_framework.errors import DataError
 from sculpt_framework.posed_images.reading import nearest_key, number
 
 LENS_KEYS = ("camera_angle_x", "camera_angle_y", "fl_x", "fl_y", "cx", "cy", "w", "h")
-_DISTORTION_KEYS = ("k1", "k2", "k3", "k4", "p1", "p2")
+DISTORTION_KEYS = ("k1", "k2", "k3", "k4", "p1", "p2")
 _ASPECT_TOLERANCE = 0.01
 
 
@@ -68,10 +68,11 @@ class Lens:
         return Pinhole(fx=fx, fy=fy, cx=cx, cy=cy)
 
 
-def read_lens(entries: Mapping[str, object], where: str) -> Lens:
+def read_lens(entries: Mapping[str, object], where: str, *, distorted: bool = False) -> Lens:
     """The lens of a frame, from its own keys over those of the file.
 
-    Raises DataError for values that are no lens, for a missing focal length, and for a distorted lens.
+    Raises DataError for values that are no lens, for a missing focal length, and for distortion unless ``distorted``
+    says that it is read elsewhere.
     """
     values = {key: number(entries[key], f"{where}: {key}") for key in LENS_KEYS if entries.get(key) is not None}
     for key in ("camera_angle_x", "camera_angle_y"):
@@ -85,7 +86,7 @@ def read_lens(entries: Mapping[str, object], where: str) -> Lens:
         close = nearest_key("camera_angle_x", entries) or nearest_key("fl_x", entries)
         hint = f" (did you mean this by '{close}'?)" if close else ""
         raise DataError(f"{where}: no focal length; expected camera_angle_x in radians or fl_x in pixels{hint}.")
-    for key in _DISTORTION_KEYS:
+    for key in () if distorted else DISTORTION_KEYS:
         if entries.get(key) is not None and number(entries[key], f"{where}: {key}") != 0:
             raise DataError(f"{where}: {key} is not 0; this layout has pinhole cameras only: undistort the images.")
     return Lens(

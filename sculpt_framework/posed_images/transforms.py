@@ -13,7 +13,9 @@ import torch
 from jaxtyping import Float64
 
 from sculpt_framework.errors import DataError
+from sculpt_framework.posed_images.distortion import Distortion
 from sculpt_framework.posed_images.lens import LENS_KEYS, Lens, read_lens
+from sculpt_framework.posed_images.lens_keys import read_distortion
 from sculpt_framework.posed_images.reading import nearest_key, number, read_json, required
 from sculpt_framework.posed_images.views import PosedImage
 from sculpt_framework.types import Camera
@@ -34,13 +36,20 @@ class Frame:
     camera_to_world: Float64[np.ndarray, "4 4"]
     """Rigid; OpenGL axes."""
     lens: Lens
+    file_path: str = ""
+    """As the file has it."""
+    distortion: Distortion | None = None
+    mask: Path | None = None
 
 
-def read_frames(path: Path, split: str, images: str | None = None) -> tuple[list[Frame], list[str]]:
+def read_frames(
+    path: Path, split: str, images: str | None = None, *, photographs: bool = False
+) -> tuple[list[Frame], list[str]]:
     """The frames of a transforms file and notes on what was unusual about them.
 
     ``file_path`` is relative to the file's folder; with ``images``, only its last part counts, the name of a file in
-    that folder below. ``split`` is what the notes call the frames.
+    that folder below. ``split`` is what the notes call the frames. ``photographs`` may have distorted lenses and masks
+    (``mask_path``); without it, a distorted lens is an error.
 
     Raises DataError for the first thing that is missing or malformed, naming file and frame.
     """
@@ -55,7 +64,7 @@ def read_frames(path: Path, split: str, images: str | None = None) -> tuple[list
         where = f"{path}: frame {index}"
         if not isinstance(entry, dict):
             raise DataError(f"{where} is not an object; expected file_path and transform_matrix.")
-        frame, scale = _frame(path.parent, document, entry, where, images)
+        frame, scale = _frame(path.parent, document, entry, where, images, photographs)
         frames.append(frame)
         scales.append(scale)
     scaled = [scale for scale in scales if abs(scale - 1) > _RIGID_TOLERANCE]
@@ -70,7 +79,21 @@ def read_frames(path: Path, split: str, images: str | None = None) -> tuple[list
 
 def posed_images(frames: Sequence[Frame]) -> list[PosedImage]:
     """The frames with their cameras in OpenCV axes, as ``load_views`` takes them."""
-    return [PosedImage(name=frame.name, path=frame.image, camera=partial(_camera, frame)) for frame in frames]
+    return [
+        PosedImage(
+            name=frame.name,
+            path=frame.image,
+            camera=partial(_camera, frame),
+            size=_size(frame.lens),
+            distortion=frame.distortion,
+            mask=frame.mask,
+        )
+        for frame in frames
+    ]
+
+
+def _size(lens: Lens) -> tuple[int, int] | None:
+    return None if lens.width is None or lens.height is None else (round(lens.width), round(lens.height))
 
 
 def _camera(frame: Frame, width: int, height: int) -> Camera:
@@ -92,21 +115,47 @@ def _camera(frame: Frame, width: int, height: int) -> Camera:
 
 
 def _frame(
-    folder: Path, document: Mapping[str, object], entry: Mapping[str, object], where: str, images: str | None
+    folder: Path,
+    document: Mapping[str, object],
+    entry: Mapping[str, object],
+    where: str,
+    images: str | None,
+    photographs: bool,
 ) -> tuple[Frame, float]:
     file_path = required(entry, "file_path", where)
     if not isinstance(file_path, str) or not file_path.strip():
         raise DataError(f"{where}: file_path is not a path; expected text such as ./train/r_0.")
     where = f"{where} ({file_path})"
-    matrix, scale = _pose(required(entry, "transform_matrix", where), where)
+    matrix, scale = rigid_matrix(required(entry, "transform_matrix", where), where, "transform_matrix")
     merged = {**{k: v for k, v in document.items() if k != "frames"}, **entry}
-    lens = read_lens(_without_overruled(merged, entry), where)
+    lens = read_lens(_without_overruled(merged, entry), where, distorted=photographs)
+    distortion = read_distortion(merged, where) if photographs else None
     # Absolute paths of somebody else's machine are common where only the name counts.
     below = file_path if images is None else f"{images}/{PurePosixPath(file_path.replace(chr(92), '/')).name}"
     relative = _inside(folder, below, where)
     image = _find_image(folder, relative, where)
-    name = relative.as_posix()
-    return Frame(name=name.removesuffix(image.suffix), image=image, camera_to_world=matrix, lens=lens), scale
+    frame = Frame(
+        name=relative.as_posix().removesuffix(image.suffix),
+        image=image,
+        camera_to_world=matrix,
+        lens=lens,
+        file_path=file_path,
+        distortion=distortion,
+        mask=_mask(folder, entry, where) if photographs else None,
+    )
+    return frame, scale
+
+
+def _mask(folder: Path, entry: Mapping[str, object], where: str) -> Path | None:
+    value = entry.get("mask_path")
+    if value is None:
+        return None
+    if not isinstance(value, str) or not value.strip():
+        raise DataError(f"{where}: mask_path is not a path; expected text such as ./masks/r_0.png.")
+    path = folder / _inside(folder, value, where, "mask_path")
+    if not path.is_file():
+        raise DataError(f"{where}: there is no mask {path}; leave mask_path out where an image has none.")
+    return path
 
 
 def _without_overruled(merged: Mapping[str, object], entry: Mapping[str, object]) -> dict[str, object]:
@@ -119,29 +168,32 @@ def _without_overruled(merged: Mapping[str, object], entry: Mapping[str, object]
     return {key: value for key, value in merged.items() if key not in overruled}
 
 
-def _pose(value: object, where: str) -> tuple[Float64[np.ndarray, "4 4"], float]:
-    """A rigid camera-to-world matrix and the uniform scale that was taken out of its rotation."""
+def rigid_matrix(value: object, where: str, key: str) -> tuple[Float64[np.ndarray, "4 4"], float]:
+    """A rigid matrix, given as 3 or 4 rows under ``key``, and the uniform scale that was taken out of its rotation.
+
+    Raises DataError where it is no rotation with a position.
+    """
     rows = value if isinstance(value, list) else []
     if len(rows) not in (3, 4) or not all(isinstance(row, list) and len(row) == 4 for row in rows):
-        raise DataError(f"{where}: transform_matrix is not 4 rows of 4 numbers.")
+        raise DataError(f"{where}: {key} is not 4 rows of 4 numbers.")
     matrix = np.eye(4)
     for r, row in enumerate(rows):
         for c, item in enumerate(row):
-            matrix[r, c] = number(item, f"{where}: transform_matrix[{r}][{c}]")
+            matrix[r, c] = number(item, f"{where}: {key}[{r}][{c}]")
     if np.abs(matrix[3] - (0, 0, 0, 1)).max() > _RIGID_TOLERANCE:
-        raise DataError(f"{where}: the last row of transform_matrix is {matrix[3].tolist()}; expected 0 0 0 1.")
+        raise DataError(f"{where}: the last row of {key} is {matrix[3].tolist()}; expected 0 0 0 1.")
     largest = np.abs(matrix).max()
     if largest > _FARTHEST:
-        raise DataError(f"{where}: transform_matrix holds {largest:.3g}; expected a camera near the object.")
+        raise DataError(f"{where}: {key} holds {largest:.3g}; expected a camera near the object.")
     left, sizes, right = np.linalg.svd(matrix[:3, :3])
     if sizes[2] <= 1e-9 * max(sizes[0], 1e-300) or sizes[0] < 1e-9:
-        raise DataError(f"{where}: transform_matrix is singular; expected a camera-to-world matrix.")
+        raise DataError(f"{where}: {key} is singular; expected a rotation and a position.")
     if np.linalg.det(matrix[:3, :3]) < 0:
-        raise DataError(f"{where}: transform_matrix mirrors (determinant below 0); expected right-handed axes.")
+        raise DataError(f"{where}: {key} mirrors (determinant below 0); expected right-handed axes.")
     scale = float(np.exp(np.log(sizes).mean()))
     if np.abs(sizes / scale - 1).max() > _RIGID_TOLERANCE:
         raise DataError(
-            f"{where}: transform_matrix stretches its axes by {sizes[0]:.3g}, {sizes[1]:.3g}, {sizes[2]:.3g}; "
+            f"{where}: {key} stretches its axes by {sizes[0]:.3g}, {sizes[1]:.3g}, {sizes[2]:.3g}; "
             "expected a rotation and a position."
         )
     matrix[:3, :3] = left @ right
@@ -149,8 +201,8 @@ def _pose(value: object, where: str) -> tuple[Float64[np.ndarray, "4 4"], float]
     return matrix, scale
 
 
-def _inside(folder: Path, file_path: str, where: str) -> PurePosixPath:
-    """``file_path`` relative to the folder. Links in the folder are the user's own and are followed."""
+def _inside(folder: Path, file_path: str, where: str, key: str = "file_path") -> PurePosixPath:
+    """A path relative to the folder. Links in the folder are the user's own and are followed."""
     text = file_path.replace("\\", "/")
     root = folder.absolute().as_posix()
     if text.startswith(root + "/"):
@@ -164,7 +216,7 @@ def _inside(folder: Path, file_path: str, where: str) -> PurePosixPath:
         elif part not in ("", "."):
             parts.append(part)
     if leaves or not parts:
-        raise DataError(f"{where}: file_path leaves the data folder; expected a path inside {folder}.")
+        raise DataError(f"{where}: {key} leaves the data folder; expected a path inside {folder}.")
     return PurePosixPath(*parts)
 
 

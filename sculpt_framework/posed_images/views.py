@@ -1,5 +1,6 @@
 """Loads posed images into views: decoding in parallel, alpha where there is none, one note per oddity."""
 
+import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -11,11 +12,20 @@ import torch
 
 from sculpt_framework.errors import DataError
 from sculpt_framework.posed_images.decoding import DecodedImage, read_image
+from sculpt_framework.posed_images.distortion import Distortion, rectify, resample
+from sculpt_framework.posed_images.headers import ImageHeader, read_headers
 from sculpt_framework.posed_images.keying import Background, common_background, given_background, key_out
+from sculpt_framework.posed_images.lens import Pinhole
+from sculpt_framework.posed_images.masks import read_mask
 from sculpt_framework.types import Camera, View
 
 BackgroundOption = Literal["auto", "white", "black", "none"]
 _COLORS = {"white": np.ones(3), "black": np.zeros(3)}
+_BYTES_PER_PIXEL = 16
+"""Four channels of four bytes."""
+IMAGE_BYTES = 2 * 2**30
+"""What the images of a scene may take in memory together when the size is chosen here; training needs as much again."""
+_ASPECT_TOLERANCE = 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,7 +35,11 @@ class PosedImage:
     name: str
     path: Path
     camera: Callable[[int, int], Camera]
-    """The camera of the image, given its width and height in pixels; world frame."""
+    """The camera of the image, given its width and height in pixels; world frame. Of a distorted lens, the pinhole."""
+    size: tuple[int, int] | None = None
+    """Width and height that the layout says the image has, if it does: whether to turn it as its EXIF data say."""
+    distortion: Distortion | None = None
+    mask: Path | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -35,23 +49,29 @@ class LoadedViews:
     notes: tuple[str, ...]
 
 
-def load_views(train: Sequence[PosedImage], test: Sequence[PosedImage], background: BackgroundOption) -> LoadedViews:
-    """Decode, give an alpha to images without one, leave out train images that show nothing.
+def load_views(
+    train: Sequence[PosedImage], test: Sequence[PosedImage], background: BackgroundOption, *, downscale: int = 1
+) -> LoadedViews:
+    """Decode, undistort, give an alpha to images without one, leave out train images that show nothing.
 
     ``background`` says what is behind images without alpha: ``auto`` looks for a constant colour in their borders,
-    ``none`` leaves them without alpha.
+    ``none`` leaves them without alpha. Images are read at 1/``downscale`` of their width and height; 0 takes the
+    smallest whole number with which all of them take at most ``IMAGE_BYTES``. No more images than there are threads
+    are ever in memory at their full size.
 
     Raises DataError for a damaged image, for images that do not fit their camera, and if all images are transparent.
     """
     posed = [*train, *test]
-    images = _decode([item.path for item in posed])
-    notes = _describe(images)
+    headers = read_headers([item.path for item in posed])
+    divide = downscale or _dividing(headers)
+    turns = [_orientation(item, header) for item, header in zip(posed, headers, strict=True)]
+    images, cameras = _read_all(posed, turns, divide)
+    notes = _describe(images) + _describe_reading(posed, turns, divide, chosen=downscale == 0)
     split = len(train)
     if all(_opaque(image) for image in images[:split]):
         if any(image.alpha is not None for image in images[:split]):
             notes.append("every alpha channel is opaque everywhere and says nothing; it is ignored.")
         images = [replace(image, alpha=None) if _opaque(image) else image for image in images]
-    cameras = [item.camera(image.rgb.shape[1], image.rgb.shape[0]) for item, image in zip(posed, images, strict=True)]
     if any(image.alpha is None for image in images):
         images, note = _key(images, split, background)
         notes.append(note)
@@ -68,14 +88,75 @@ def load_views(train: Sequence[PosedImage], test: Sequence[PosedImage], backgrou
     return LoadedViews(train=tuple(seen), test=tuple(views[split:]), notes=tuple(notes))
 
 
-def _decode(paths: Sequence[Path]) -> list[DecodedImage]:
+def _dividing(headers: Sequence[ImageHeader | None]) -> int:
+    pixels = sum(header.width * header.height for header in headers if header is not None)
+    return max(1, math.ceil(math.sqrt(pixels * _BYTES_PER_PIXEL / IMAGE_BYTES)))
+
+
+def _orientation(item: PosedImage, header: ImageHeader | None) -> int:
+    """The turn an image needs to fit its camera. Cameras fitted to the stored pixels, as COLMAP does, need none."""
+    if header is None or header.orientation == 1 or item.size is None:
+        return 1
+    shape = item.size[0] / item.size[1]
+    if abs(header.width / header.height / shape - 1) <= _ASPECT_TOLERANCE:
+        return 1
+    width, height = header.upright_size
+    return header.orientation if abs(width / height / shape - 1) <= _ASPECT_TOLERANCE else 1
+
+
+def _read_all(
+    posed: Sequence[PosedImage], turns: Sequence[int], divide: int
+) -> tuple[list[DecodedImage], list[Camera]]:
     with ThreadPoolExecutor(max_workers=torch.get_num_threads()) as pool:
-        pending = [pool.submit(read_image, path) for path in paths]
+        pending = [pool.submit(_read, item, turn, divide) for item, turn in zip(posed, turns, strict=True)]
         try:
-            return [job.result() for job in pending]
+            done = [job.result() for job in pending]
         except DataError:
             pool.shutdown(cancel_futures=True)
             raise
+    return [image for image, _ in done], [camera for _, camera in done]
+
+
+def _read(item: PosedImage, orientation: int, divide: int) -> tuple[DecodedImage, Camera]:
+    """One image at its final size, seen through a pinhole, with the mask that belongs to it as alpha."""
+    image = read_image(item.path, orientation=orientation, divide=divide)
+    height, width = image.rgb.shape[:2]
+    camera = item.camera(*image.full_size).resized(width, height)
+    if item.mask is not None:
+        mask = read_mask(item.mask, image.full_size, width, height)
+        image = replace(image, alpha=mask if image.alpha is None else np.minimum(mask, image.alpha))
+    if item.distortion is None or item.distortion.is_none:
+        return image, camera
+    lens = Pinhole(fx=camera.fx, fy=camera.fy, cx=camera.cx, cy=camera.cy)
+    straight = rectify(lens, item.distortion, width, height, str(item.path))
+    rgb, alpha = resample(image.rgb, straight), image.alpha
+    if alpha is not None:
+        alpha = resample(alpha, straight)
+    fields = {
+        "fx": straight.pinhole.fx,
+        "fy": straight.pinhole.fy,
+        "cx": straight.pinhole.cx,
+        "cy": straight.pinhole.cy,
+    }
+    camera = replace(camera, **fields, width=straight.width, height=straight.height)
+    return replace(image, rgb=rgb, alpha=alpha), camera
+
+
+def _describe_reading(posed: Sequence[PosedImage], turns: Sequence[int], divide: int, *, chosen: bool) -> list[str]:
+    notes, total = [], len(posed)
+    if divide > 1:
+        why = f", so that {total} images take at most {IMAGE_BYTES / 2**30:g} GiB" if chosen else ""
+        notes.append(f"images are read at 1/{divide} of their width and height{why}.")
+    turned = sum(turn != 1 for turn in turns)
+    if turned:
+        notes.append(f"{turned} of {total} images are turned upright as their EXIF data say, to fit their cameras.")
+    bent = sum(item.distortion is not None and not item.distortion.is_none for item in posed)
+    if bent:
+        notes.append(f"{bent} of {total} images come through a distorted lens: resampled to a pinhole's.")
+    masked = sum(item.mask is not None for item in posed)
+    if masked:
+        notes.append(f"{masked} of {total} images have a mask in a file of its own.")
+    return notes
 
 
 def _opaque(image: DecodedImage) -> bool:
@@ -103,14 +184,14 @@ def _key(images: list[DecodedImage], split: int, background: BackgroundOption) -
     bare = [image for image in images if image.alpha is None]
     some = f"{len(bare)} of {len(images)} images have no alpha"
     if background == "none":
-        return images, f"{some}: used without masks, as asked."
+        return images, f"{some}: nothing is keyed out, as asked."
     learned = [image for image in images[:split] if image.alpha is None] or bare
     colors, lossless = [image.rgb for image in learned], all(image.lossless for image in learned)
     behind: Background | None
     if background == "auto":
         behind = common_background(colors, lossless)
         if behind is None:
-            return images, f"{some} and their borders show no constant background: used without masks."
+            return images, f"{some} and their borders show no constant background: nothing is keyed out."
         found = "constant background found at the borders"
     else:
         behind = given_background(_COLORS[background], colors, lossless)

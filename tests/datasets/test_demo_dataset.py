@@ -128,7 +128,9 @@ def test_cache_that_cannot_be_written(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 def test_demo_names() -> None:
-    with pytest.raises(DataError, match=r"there are blob, dents, thin, double-torus, gaps, machine, flask; did you mean gaps\?"):
+    with pytest.raises(
+        DataError, match=r"there are blob, dents, thin, double-torus, gaps, machine, flask; did you mean gaps\?"
+    ):
         AutoDatasetConfig().build("demo:gap")
     with pytest.raises(DataError, match=r"scenes/jar: not a demo scene; expected demo or demo:NAME"):
         DemoConfig().build("scenes/jar")
@@ -192,7 +194,9 @@ def test_command_writes_lists_and_inspects(
     assert card[2] == "test       1 view, 24x24, with alpha"
     assert card[3].startswith("box        ")
     assert card[4] == f"reference  {folder / 'gt_mesh.ply'}"
-    assert all(line.startswith("note       ") for line in card[5:])
+    # Three cameras leave half of the sphere unseen, and that is said.
+    assert all(line.startswith(("note       ", "look at    ")) for line in card[5:])
+    assert any("nothing was photographed from within" in line for line in card)
     assert _run("list", monkeypatch=monkeypatch) == 0
     assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == list(OBJECTS)
 

@@ -16,6 +16,7 @@ from sculpt_framework.errors import ConfigError, DataError
 from sculpt_framework.evaluation.mesh import load_mesh
 from sculpt_framework.types import Scene
 from sculpt_plugins.datasets.auto.config import AutoDatasetConfig
+from sculpt_plugins.datasets.auto.dataset import recognise
 from sculpt_plugins.datasets.omniobject3d.config import OmniObject3DConfig
 from sculpt_plugins.datasets.omniobject3d.scan import find_scan, to_render_frame
 
@@ -176,8 +177,7 @@ def test_auto_recognises_the_object_and_its_renders(write: Write):
 def test_transforms_beside_images_are_not_taken_for_it(write: Write):
     folder = write()
     (folder / "render").rename(folder / "other")
-    with pytest.raises(DataError, match="not a layout that is known"):
-        AutoDatasetConfig().build(str(folder / "other"))
+    assert recognise(str(folder / "other")).name == "nerfstudio"
 
 
 def frame(number: int, **values: Any) -> Callable[[dict[str, Any]], object]:

@@ -1,3 +1,5 @@
+"""Recognises what ``--data`` names and hands it to the dataset that reads it."""
+
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -9,9 +11,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class AutoDatasetConfig(DatasetConfig):
-    """Recognises demo names and folder layouts; name a layout with --dataset to set its options."""
+    """Recognises demo names and folder layouts; name a layout with --dataset to set its other options."""
+
+    downscale: int | None = None
+    """Read images at 1/N of their width and height; 0: as the memory allows; None: as the layout does by itself."""
 
     def build(self, data: str) -> "AutoDataset":
         from sculpt_plugins.datasets.auto.dataset import AutoDataset
 
-        return AutoDataset(data)
+        return AutoDataset(self, data)

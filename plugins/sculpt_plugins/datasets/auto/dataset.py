@@ -4,16 +4,30 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from sculpt_framework.config import DatasetConfig
 from sculpt_framework.datasets import Dataset
-from sculpt_framework.errors import DataError
+from sculpt_framework.errors import ConfigError, DataError
 from sculpt_framework.posed_images.folders import contents, scene_folder
 from sculpt_framework.types import Scene
 
 # Choosing among the plug-ins of its own slot is all this one does, so it names them; by their configs, which are cheap.
+from sculpt_plugins.datasets.auto.config import AutoDatasetConfig
 from sculpt_plugins.datasets.blender.config import BlenderConfig
+from sculpt_plugins.datasets.colmap.config import ColmapConfig
 from sculpt_plugins.datasets.demo.config import DemoConfig
+from sculpt_plugins.datasets.idr.config import IdrConfig
+from sculpt_plugins.datasets.nerfstudio.config import NerfstudioConfig
 from sculpt_plugins.datasets.omniobject3d.config import OmniObject3DConfig
+
+FolderConfig = BlenderConfig | ColmapConfig | IdrConfig | NerfstudioConfig | OmniObject3DConfig
+
+
+def _has_sparse_model(folder: Path) -> bool:
+    places = [folder / "sparse", *(folder / "sparse").glob("[0-9]*"), folder / "colmap" / "sparse" / "0", folder]
+    return any(
+        (place / f"images{end}").is_file() and (place / f"cameras{end}").is_file()
+        for place in places
+        for end in (".bin", ".txt")
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,7 +36,7 @@ class Layout:
     mark: str
     """What a folder of this layout is recognised by, for people."""
     recognises: Callable[[Path], bool]
-    config: DatasetConfig
+    config: FolderConfig
 
 
 LAYOUTS = (
@@ -42,19 +56,41 @@ LAYOUTS = (
         ),
         config=OmniObject3DConfig(),
     ),
+    Layout(
+        name="IDR",
+        mark="cameras.npz or cameras_sphere.npz",
+        recognises=lambda folder: any((folder / f"cameras{end}.npz").is_file() for end in ("", "_sphere")),
+        config=IdrConfig(),
+    ),
+    Layout(
+        name="nerfstudio",
+        mark="transforms.json",
+        recognises=lambda folder: (folder / "transforms.json").is_file(),
+        config=NerfstudioConfig(),
+    ),
+    # Last, as converters leave their COLMAP model beside what they make of it.
+    Layout(
+        name="COLMAP",
+        mark="sparse/0/images.bin or .txt",
+        recognises=_has_sparse_model,
+        config=ColmapConfig(),
+    ),
 )
 
 
 class AutoDataset(Dataset):
-    def __init__(self, data: str):
+    def __init__(self, config: AutoDatasetConfig, data: str):
         """Raises DataError, with the layouts there are, if ``data`` is none of them."""
         if data == "demo" or data.startswith("demo:"):
+            if config.downscale is not None:
+                raise ConfigError("--dataset.downscale is for photographs; give a demo --dataset.resolution instead.")
             self.note = None
             self.chosen = DemoConfig().build(data)
             return
         layout = recognise(data)
         self.note = f"layout: {layout.name} (there is {layout.mark})."
-        self.chosen = layout.config.build(data)
+        chosen = layout.config if config.downscale is None else replace(layout.config, downscale=config.downscale)
+        self.chosen = chosen.build(data)
 
     def load(self) -> Scene:
         scene = self.chosen.load()

@@ -13,6 +13,8 @@ class BlenderConfig(DatasetConfig):
 
     background: Literal["auto", "white", "black", "none"] = "auto"
     """What is behind images without alpha; auto looks for a constant colour at their borders, none keys nothing."""
+    downscale: int = 1
+    """Read images at 1/N of their width and height; 0: as large as 2 GiB allow for all of them together."""
 
     def build(self, data: str) -> "BlenderDataset":
         from sculpt_plugins.datasets.blender.dataset import BlenderDataset

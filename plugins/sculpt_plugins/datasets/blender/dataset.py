@@ -19,7 +19,9 @@ class BlenderDataset(Dataset):
         """Everything that can be checked without decoding an image is checked first."""
         train, notes = read_split(self.folder, "train")
         test, test_notes = self._test_split()
-        loaded = load_views(posed_images(train), posed_images(test), self.config.background)
+        loaded = load_views(
+            posed_images(train), posed_images(test), self.config.background, downscale=self.config.downscale
+        )
         box, box_note = fit_box(loaded.train)
         if len(loaded.train) <= 2:
             count = "one view" if len(loaded.train) == 1 else "two views"

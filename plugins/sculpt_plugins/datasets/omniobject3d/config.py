@@ -13,6 +13,8 @@ class OmniObject3DConfig(DatasetConfig):
 
     background: Literal["auto", "white", "black", "none"] = "auto"
     """What is behind images without alpha; auto looks for a constant colour at their borders, none keys nothing."""
+    downscale: int = 1
+    """Read images at 1/N of their width and height; 0: as large as 2 GiB allow for all of them together."""
     test_every: int = 0
     """Hold every so many views out as test views; 0: learn from all. The dataset has no split of its own."""
 

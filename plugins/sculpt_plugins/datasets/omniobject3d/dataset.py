@@ -44,7 +44,9 @@ class OmniObject3DDataset(Dataset):
         train = [frame for index, frame in enumerate(frames) if not every or index % every]
         if not train:
             raise DataError(f"{transforms}: {len(frames)} views; all of them would be test views.")
-        loaded = load_views(posed_images(train), posed_images(test), self.config.background)
+        loaded = load_views(
+            posed_images(train), posed_images(test), self.config.background, downscale=self.config.downscale
+        )
         box, box_note = fit_box(loaded.train)
         reference, scan_note = reference_mesh(self.folder, transforms, box)
         return Scene(

@@ -1,0 +1,1 @@
+"""transforms.json as nerfstudio's converters and instant-ngp's write it: one file, one camera per frame if need be."""

@@ -1,0 +1,108 @@
+"""A triangle mesh as a camera sees it: which face at which pixel, how deep, in what colour."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import Float, Float32, Float64, Int32, Int64
+
+from sculpt_framework.cpu_kernels import kernel_cache
+from sculpt_framework.types import Camera
+
+with kernel_cache("export", Path(__file__).with_name("mesh_pixel_kernels.py")):
+    from sculpt_framework.export import mesh_pixel_kernels as kernels
+
+Vertices = Float64[np.ndarray, "v 3"]
+Faces = Int64[np.ndarray, "f 3"]
+_SLACK = 2e-3
+"""Share of the mesh's diagonal by which a point may lie behind what a pixel shows and still be seen."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MeshPixels:
+    """What is nearest at each pixel's centre."""
+
+    face: Int32[np.ndarray, "h w"]
+    """-1 where there is no surface."""
+    weights: Float32[np.ndarray, "h w 3"]
+    """Of the face's vertices, on the surface; they add up to 1."""
+    depth: Float32[np.ndarray, "h w"]
+    """Camera z; infinite where there is no surface."""
+
+    def interpolate(self, faces: Faces, values: Float[np.ndarray, "v c"]) -> Float[np.ndarray, "h w c"]:
+        """Values of vertices at the pixels; 0 where there is no surface."""
+        seen = self.face >= 0
+        out = np.zeros((*self.face.shape, values.shape[1]), values.dtype)
+        out[seen] = np.einsum("nk,nkc->nc", self.weights[seen], values[faces[self.face[seen]]])
+        return out
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Visibility:
+    """How cameras see points of a mesh, one array entry a point."""
+
+    times_seen: Int32[np.ndarray, " n"]
+    """Number of cameras that see it."""
+    best_cosine: Float32[np.ndarray, " n"]
+    """Of the angle between the normal and the most frontal of those cameras; 0 where none sees it."""
+
+
+def lens_values(camera: Camera) -> Float64[np.ndarray, " 4"]:
+    """fx, fy, cx, cy."""
+    return np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+
+
+def draw_mesh(vertices: Vertices, faces: Faces, camera: Camera) -> MeshPixels:
+    """Mesh and camera in the same frame. Faces that reach behind the camera are left out."""
+    pose = camera.world_to_camera.double().numpy()
+    local = vertices @ pose[:3, :3].T + pose[:3, 3]
+    inverse = np.where(local[:, 2] > 0, 1 / np.where(local[:, 2] > 0, local[:, 2], 1), 0)
+    columns = camera.fx * local[:, 0] * inverse + camera.cx
+    rows = camera.fy * local[:, 1] * inverse + camera.cy
+    return draw_triangles(np.stack([columns, rows], axis=1)[faces], inverse[faces], camera.width, camera.height)
+
+
+def draw_triangles(
+    corners: Float64[np.ndarray, "f 3 2"], inverse_depth: Float64[np.ndarray, "f 3"], width: int, height: int
+) -> MeshPixels:
+    """Triangles given by columns and rows, and 1/z, at their corners."""
+    face = np.full((height, width), -1, np.int32)
+    weights, nearest = np.zeros((height, width, 3), np.float32), np.zeros((height, width))
+    kernels.draw(np.ascontiguousarray(corners), np.ascontiguousarray(inverse_depth), face, weights, nearest)
+    depth = np.where(face >= 0, 1 / np.where(face >= 0, nearest, 1), np.inf).astype(np.float32)
+    return MeshPixels(face=face, weights=weights, depth=depth)
+
+
+def cosines(
+    points: Vertices, normals: Vertices, camera: Camera, depth: Float32[np.ndarray, "h w"], slack: float
+) -> Float32[np.ndarray, " n"]:
+    """How frontally a camera sees points with normals: a cosine, 0 where something hides them or they look away.
+
+    ``depth`` is the surface's as ``draw_mesh`` has it.
+    """
+    # At a steep place a pixel's centre is nearer than its border: the depths around it say how much.
+    farthest = cv2.dilate(np.where(np.isfinite(depth), depth, np.float32(3e38)), np.ones((3, 3), np.uint8))
+    out = np.zeros(len(points), np.float32)
+    pose, center = camera.world_to_camera.double().numpy(), camera.position.double().numpy()
+    kernels.see(points, normals, pose, lens_values(camera), center, np.asarray(farthest), slack, out)
+    return out
+
+
+def visibility_slack(vertices: Vertices) -> float:
+    """What counts as the same depth on a mesh of this size."""
+    return _SLACK * float(np.linalg.norm(vertices.max(axis=0) - vertices.min(axis=0)))
+
+
+def visibility(
+    vertices: Vertices, faces: Faces, normals: Vertices, cameras: Sequence[Camera], least: float = 0.1
+) -> Visibility:
+    """How the cameras see the vertices of a mesh. A view at less than ``least`` of the cosine shows nothing."""
+    seen, best = np.zeros(len(vertices), np.int32), np.zeros(len(vertices), np.float32)
+    slack = visibility_slack(vertices)
+    for camera in cameras:
+        now = cosines(vertices, normals, camera, draw_mesh(vertices, faces, camera).depth, slack)
+        seen += now >= least
+        best = np.maximum(best, np.where(now >= least, now, 0))
+    return Visibility(times_seen=seen, best_cosine=best)

@@ -1,0 +1,84 @@
+"""A picture of a scene: where its cameras stand, the box, and its photographs with their masks."""
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from jaxtyping import Float64, UInt8
+
+from sculpt_framework.types import Scene, View
+
+Picture = UInt8[np.ndarray, "h w 3"]
+_THUMB = 150
+_COLUMNS = 8
+_MOST = 40
+_MAP = 4 * _THUMB
+_INK, _BOX, _CAMERA, _TEST, _OUTLINE = (40, 44, 52), (46, 125, 50), (25, 90, 170), (200, 110, 20), (230, 30, 120)
+"""sRGB."""
+_FONT = cv2.FONT_HERSHEY_SIMPLEX
+
+
+def contact_sheet(scene: Scene) -> Picture:
+    """Two plans, from above (z up) and from the side, and up to 40 train views, spread evenly over all of them.
+
+    What is outside a mask is faded, the outline drawn; views without a mask are shown as they are.
+    """
+    chosen = np.unique(np.linspace(0, len(scene.train) - 1, min(_MOST, len(scene.train))).round().astype(int))
+    thumbs = [thumbnail(scene.train[index]) for index in chosen]
+    plans = np.hstack([_plan(scene, (0, 1), "x to the right, y up"), _plan(scene, (0, 2), "x to the right, z up")])
+    width = _COLUMNS * _THUMB
+    rows = [plans]
+    for start in range(0, len(thumbs), _COLUMNS):
+        row = np.hstack(thumbs[start : start + _COLUMNS])
+        rows.append(np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0)), constant_values=255))
+    return np.ascontiguousarray(np.vstack(rows))
+
+
+def thumbnail(view: View) -> Picture:
+    """A view at the size of the sheet, named, with its mask."""
+    factor = (_THUMB - 6) / max(view.camera.width, view.camera.height)
+    size = max(1, round(view.camera.width * factor)), max(1, round(view.camera.height * factor))
+    image = np.asarray(cv2.resize(view.rgb.numpy(), size, interpolation=cv2.INTER_AREA)).clip(0, 1)
+    pixels = np.rint(image * 255).astype(np.uint8)
+    if view.alpha is not None:
+        alpha = np.asarray(cv2.resize(view.alpha.numpy(), size, interpolation=cv2.INTER_AREA))[..., None]
+        pixels = np.rint(pixels * alpha + (0.25 * pixels + 0.75 * 235) * (1 - alpha)).astype(np.uint8)
+        outlines, _ = cv2.findContours((alpha[..., 0] > 0.5).astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+        cv2.drawContours(pixels, outlines, -1, _OUTLINE, 1)
+    out = np.full((_THUMB, _THUMB, 3), 255, np.uint8)
+    out[3 : 3 + size[1], 3 : 3 + size[0]] = pixels
+    label = view.name[-20:]
+    cv2.putText(out, label, (5, _THUMB - 6), _FONT, 0.35, (255, 255, 255), 3, cv2.LINE_AA)
+    cv2.putText(out, label, (5, _THUMB - 6), _FONT, 0.35, _INK, 1, cv2.LINE_AA)
+    return out
+
+
+def _plan(scene: Scene, axes: tuple[int, int], title: str) -> Picture:
+    """The cameras and the box along two axes of the world."""
+    out = np.full((_MAP, _MAP, 3), 250, np.uint8)
+    low, high = scene.box.minimum.double().numpy(), scene.box.maximum.double().numpy()
+    train, test = _centers(scene.train), _centers(scene.test)
+    everything = np.concatenate([train, test, low[None], high[None]])[:, axes]
+    middle = 0.5 * (everything.min(axis=0) + everything.max(axis=0))
+    scale = 0.42 * _MAP / max(float(np.ptp(everything, axis=0).max()) / 2, 1e-12)
+
+    def place(point: Float64[np.ndarray, " 3"]) -> tuple[int, int]:
+        right, up = (point[list(axes)] - middle) * scale
+        return round(_MAP / 2 + right), round(_MAP / 2 - up)
+
+    length = 0.12 * float(np.ptp(everything, axis=0).max())
+    for views, color in ((scene.train, _CAMERA), (scene.test, _TEST)):
+        for view in views:
+            pose = view.camera.world_to_camera.double().numpy()
+            center = view.camera.position.double().numpy()
+            cv2.line(out, place(center), place(center + length * pose[2, :3]), color, 1, cv2.LINE_AA)
+            cv2.circle(out, place(center), 3, color, -1, cv2.LINE_AA)
+    cv2.rectangle(out, place(low), place(high), _BOX, 2)
+    words = f"{title}; box green, train blue" + (", test orange" if scene.test else "")
+    cv2.putText(out, words, (12, 22), _FONT, 0.5, _INK, 1, cv2.LINE_AA)
+    cv2.putText(out, f"box {np.ptp([low, high], axis=0).max():.3g} wide", (12, 42), _FONT, 0.5, _INK, 1, cv2.LINE_AA)
+    return out
+
+
+def _centers(views: Sequence[View]) -> Float64[np.ndarray, "n 3"]:
+    return np.array([view.camera.position.double().numpy() for view in views], np.float64).reshape(-1, 3)

@@ -1,0 +1,237 @@
+"""Masks for photographs with anything behind the object: GrabCut, seeded by a box in space.
+
+The box is projected into each view. What is outside its outline is background for certain; what is in the middle of it
+is the object and the rest background, until colours say otherwise. Colours are learned once for all views, from a sheet
+of small ones side by side: what is the same behind the object everywhere is then known as background even where a view
+has it inside the outline. The masks of all views bound the object more tightly than the seed did, so this is done
+twice; a last cut, at more pixels, only decides along the outlines.
+
+Rother, Kolmogorov, Blake: "GrabCut", SIGGRAPH 2004; the implementation is OpenCV's.
+"""
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TypeVar
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Bool, Float32, Float64, UInt8
+
+from sculpt_framework.errors import DataError
+from sculpt_framework.posed_images.box import fit_box
+from sculpt_framework.types import Box, Camera, View
+
+_COARSE, _FINE = 160, 400
+"""Longer side of the images the two cuts are made on, in pixels."""
+_SHEET_VIEWS, _SHEET_SIDE = 24, 96
+"""Views on the sheet that colours are learned from, and the longer side of each in pixels."""
+_ROUNDS = 6
+_CORE = 0.55
+"""What is taken for the object at first: the outline of the box shrunk to this share."""
+_BAND = 0.02
+"""Half the width of the strip along an outline that the second cut decides, as a share of the image's longer side."""
+_SLACK = 0.08
+"""By which the box is enlarged before it is projected."""
+_PIECE = 0.05
+"""Pieces smaller than this share of the largest are specks."""
+_LEAST = 0.002
+"""A mask of less than this share of the image shows nothing."""
+Trimap = UInt8[np.ndarray, "h w"]
+Mask = Bool[np.ndarray, "h w"]
+Item = TypeVar("Item")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Colors:
+    """Mixtures of five Gaussians each, as OpenCV packs them."""
+
+    background: Float64[np.ndarray, "1 65"]
+    object: Float64[np.ndarray, "1 65"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Small:
+    """A view at the size of a cut."""
+
+    image: UInt8[np.ndarray, "h w 3"]
+    camera: Camera
+
+
+def cut_out(views: Sequence[View], test: Sequence[View], seed: Box) -> tuple[list[View], list[View], str]:
+    """The views with an alpha each, without those that show nothing, and one line on what was done.
+
+    Views that have an alpha keep it. Raises DataError if no view shows an object.
+    """
+    bare = [view for view in (*views, *test) if view.alpha is None]
+    given = [view for view in views if view.alpha is not None]
+    box, told = seed, ""
+    masks: list[Mask] = []
+    for _ in range(2):
+        colors = _learn(bare, box)
+        masks = _each(partial(_coarse, box=box, colors=colors), bare)
+        found = [_masked(view, mask) for view, mask in zip(bare, masks, strict=True) if mask.mean() >= _LEAST]
+        if not found and not given:
+            raise DataError(
+                f"no object could be cut out of {len(bare)} images; put masks into a folder 'masks' beside the images, "
+                "or say where the object is with --dataset.box."
+            )
+        box, told = _tightened([*given, *found], box)
+    fine = _each(lambda pair: _fine(pair[0], pair[1], box, colors), list(zip(bare, masks, strict=True)))
+    done = {id(view): _masked(view, mask) for view, mask in zip(bare, fine, strict=True)}
+    train = [done.get(id(view), view) for view in views]
+    seen = [view for view in train if view.alpha is not None and float(view.alpha.mean()) >= _LEAST]
+    if not seen:
+        raise DataError("no object could be cut out of any train image; put masks into a folder 'masks'.")
+    note = f"{len(bare)} of {len(views) + len(test)} images have no mask: the object is cut out of them{told}"
+    note += "; look at the masks: sculpt-data masks DIR."
+    if len(seen) < len(train):
+        note += f" {len(train) - len(seen)} images in which nothing was found are left out."
+    return seen, [done.get(id(view), view) for view in test], note
+
+
+def _tightened(masked: Sequence[View], seed: Box) -> tuple[Box, str]:
+    try:
+        box, _ = fit_box(masked)
+    except DataError:
+        return seed, ", though the first cuts contradict each other"
+    return Box(minimum=torch.maximum(box.minimum, seed.minimum), maximum=torch.minimum(box.maximum, seed.maximum)), ""
+
+
+def _each(work: Callable[[Item], Mask], items: Sequence[Item]) -> list[Mask]:
+    with ThreadPoolExecutor(max_workers=torch.get_num_threads()) as pool:
+        return list(pool.map(work, items))
+
+
+def _learn(views: Sequence[View], box: Box) -> _Colors:
+    """Colours of background and object over all views."""
+    step = -(-len(views) // _SHEET_VIEWS)
+    small = [_reduced(view, _SHEET_SIDE) for view in views[::step]]
+    side = max(max(item.image.shape[:2]) for item in small)
+    sheet = np.zeros((side, side * len(small), 3), np.uint8)
+    trimap = np.full(sheet.shape[:2], cv2.GC_BGD, np.uint8)
+    real = np.zeros(sheet.shape[:2], bool)
+    for index, item in enumerate(small):
+        height, width = item.image.shape[:2]
+        place = slice(0, height), slice(index * side, index * side + width)
+        sheet[place], trimap[place], real[place] = item.image, _first_trimap(item.camera, box), True
+    # What only fills the sheet up repeats its first column, so that it teaches no colour of its own.
+    sheet = np.where(real[..., None], sheet, np.median(sheet[real], axis=0).astype(np.uint8))
+    background, object_ = np.zeros((1, 65)), np.zeros((1, 65))
+    # The clusters it starts from are drawn at random, from a generator of each thread.
+    cv2.setRNGSeed(0)
+    cv2.grabCut(sheet, trimap, (0, 0, 1, 1), background, object_, _ROUNDS, cv2.GC_INIT_WITH_MASK)
+    return _Colors(background=background, object=object_)
+
+
+def _first_trimap(camera: Camera, box: Box) -> Trimap:
+    allowed, core = box_outline(camera, box, 1 + _SLACK), box_outline(camera, box, _CORE)
+    trimap = np.where(core, cv2.GC_PR_FGD, cv2.GC_PR_BGD)
+    trimap = np.where(allowed, trimap, cv2.GC_BGD).astype(np.uint8)
+    _add_border(trimap)
+    return trimap
+
+
+def _coarse(view: View, box: Box, colors: _Colors) -> Mask:
+    small = _reduced(view, _COARSE)
+    return _cut(small.image, _first_trimap(small.camera, box), colors)
+
+
+def _fine(view: View, coarse: Mask, box: Box, colors: _Colors) -> Mask:
+    small = _reduced(view, _FINE)
+    height, width = small.image.shape[:2]
+    start = cv2.resize(coarse.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR) > 0.5
+    allowed = box_outline(small.camera, box, 1 + _SLACK)
+    side = 2 * max(2, round(_BAND * max(height, width))) + 1
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
+    # The image's border is no outline: an object that is cut off there goes on.
+    inner = cv2.erode(start.astype(np.uint8), kernel, borderValue=1).astype(bool)
+    outer = cv2.dilate(start.astype(np.uint8), kernel).astype(bool) & allowed
+    trimap = np.where(start, cv2.GC_PR_FGD, cv2.GC_PR_BGD)
+    trimap = np.where(outer, trimap, cv2.GC_BGD)
+    trimap = np.where(inner & allowed, cv2.GC_FGD, trimap).astype(np.uint8)
+    return _cut(small.image, trimap, colors)
+
+
+def box_outline(camera: Camera, box: Box, share: float = 1.0) -> Mask:
+    """Pixels inside the outline of a box of ``share`` of the size; all of them where it reaches behind the camera."""
+    middle, half = box.center.double().numpy(), 0.5 * (box.maximum - box.minimum).double().numpy()
+    low, high = middle - share * half, middle + share * half
+    corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
+    pose = camera.world_to_camera.double().numpy()
+    local = corners @ pose[:3, :3].T + pose[:3, 3]
+    if (local[:, 2] <= 1e-6 * np.abs(local).max()).any():
+        return np.ones((camera.height, camera.width), bool)
+    pixels = local[:, :2] / local[:, 2:] * (camera.fx, camera.fy) + (camera.cx, camera.cy)
+    inside = np.zeros((camera.height, camera.width), np.uint8)
+    # Far outside the image a polygon's corners may not fit the drawing's integers.
+    limit = 50 * max(camera.width, camera.height)
+    hull = cv2.convexHull(np.round(pixels.clip(-limit, limit)).astype(np.int32))
+    cv2.fillConvexPoly(inside, hull, (1,))
+    return inside.astype(bool)
+
+
+def _add_border(trimap: Trimap) -> None:
+    """Where the box fills the image, a thin border of it is background: a cut needs some of each."""
+    if (trimap == cv2.GC_BGD).mean() >= 0.02:
+        return
+    wide = max(1, round(0.01 * max(trimap.shape)))
+    for side in (trimap[:wide], trimap[-wide:], trimap[:, :wide], trimap[:, -wide:]):
+        side[:] = cv2.GC_BGD
+
+
+def _cut(image: UInt8[np.ndarray, "h w 3"], trimap: Trimap, colors: _Colors) -> Mask:
+    open_at = (trimap == cv2.GC_PR_FGD) | (trimap == cv2.GC_PR_BGD)
+    if not open_at.any():
+        return trimap == cv2.GC_FGD
+    window = _window(trimap != cv2.GC_BGD)
+    pixels, inside = np.ascontiguousarray(image[window]), trimap[window].copy()
+    known = colors.background.copy(), colors.object.copy()
+    labels, _, _ = cv2.grabCut(pixels, inside, (0, 0, 1, 1), *known, 1, cv2.GC_EVAL_FREEZE_MODEL)
+    out = np.zeros(trimap.shape, bool)
+    out[window] = (labels == cv2.GC_FGD) | (labels == cv2.GC_PR_FGD)
+    return _without_specks(out)
+
+
+def _window(open_at: Mask) -> tuple[slice, slice]:
+    """Rows and columns around what is to be decided, with as much background again as tells the two apart."""
+    height, width = open_at.shape
+    rows, columns = np.flatnonzero(open_at.any(axis=1)), np.flatnonzero(open_at.any(axis=0))
+    margin = max(4, round(0.15 * max(rows[-1] - rows[0], columns[-1] - columns[0])))
+    return (
+        slice(max(0, rows[0] - margin), min(height, rows[-1] + 1 + margin)),
+        slice(max(0, columns[0] - margin), min(width, columns[-1] + 1 + margin)),
+    )
+
+
+def _without_specks(mask: Mask) -> Mask:
+    """Without pieces, and without holes, that are small beside the largest piece."""
+    for value in (True, False):
+        _, labels, stats, _ = cv2.connectedComponentsWithStats((mask == value).astype(np.uint8), connectivity=4)
+        sizes = stats[:, cv2.CC_STAT_AREA].copy()
+        sizes[0] = 0
+        largest = max(int(mask.sum()), 1) if not value else int(sizes.max(initial=0))
+        small = sizes < _PIECE * largest if value else sizes < 0.2 * _PIECE * largest
+        small[0] = False
+        mask = np.where(small[labels], not value, mask)
+    return mask
+
+
+def _reduced(view: View, side: int) -> _Small:
+    camera = view.camera
+    factor = min(1.0, side / max(camera.width, camera.height))
+    width, height = max(1, round(camera.width * factor)), max(1, round(camera.height * factor))
+    image = cv2.resize(view.rgb.numpy(), (width, height), interpolation=cv2.INTER_AREA)
+    pixels = np.ascontiguousarray(np.rint(image.clip(0, 1) * 255).astype(np.uint8)[:, :, ::-1])
+    return _Small(image=pixels, camera=camera.resized(width, height))
+
+
+def _masked(view: View, mask: Mask) -> View:
+    """The view with a mask of any size as alpha; a step of a coarser mask becomes a slope."""
+    camera = view.camera
+    alpha: Float32[np.ndarray, "h w"] = mask.astype(np.float32)
+    if alpha.shape != (camera.height, camera.width):
+        alpha = cv2.resize(alpha, (camera.width, camera.height), interpolation=cv2.INTER_LINEAR)
+    return replace(view, alpha=torch.from_numpy(alpha))

@@ -1,0 +1,24 @@
+"""What a user may say about photographs, in every layout that has them. Free of torch, for ``--help``."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from sculpt_framework.config import DatasetConfig
+
+Corners = tuple[float, float, float, float, float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhotographsConfig(DatasetConfig):
+    """Base of the layouts of photographs."""
+
+    downscale: int = 0
+    """Read images at 1/N of their width and height; 0: as large as 2 GiB allow for all of them together."""
+    masks: Literal["auto", "cut-out", "none"] = "auto"
+    """auto: masks that are there, else a plain background keyed out, else cut out; cut-out: do not try to key."""
+    background: Literal["auto", "white", "black", "none"] = "auto"
+    """What is behind images without alpha; auto looks for a constant colour at their borders, none keys nothing."""
+    test_every: int = 0
+    """Hold every so many views out as test views; 0: as the data say, or learn from all."""
+    box: Corners | None = None
+    """Two corners of a box that holds the object, in the units and axes of the cameras; found if not given."""

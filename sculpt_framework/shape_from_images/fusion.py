@@ -23,6 +23,8 @@ _PRIOR = 0.02
 _STIFFNESS = 0.3
 """Pull of the six neighbours, relative to that of a value that is sure: fills what no view knows, smoothly."""
 _SWEEPS = 100
+_ROUNDS = 2
+"""The first carves by all depths; then those that see through what is left are no longer believed."""
 _CRUMB = 1e-3
 """Pieces smaller than this share of the largest are mistakes."""
 
@@ -34,17 +36,50 @@ def carve(solid: Volume, views: PackedViews, maps: DepthMaps, margin: float) -> 
     no more exact than that; from twice as deep on they are believed as they are. Bubbles inside are filled, crumbs
     outside removed.
     """
-    truncation = _TRUNCATION * solid.cell
+    hull = solid.values < 0
+    carved = solid.values
+    blocked = np.zeros(hull.shape, bool)
+    for _ in range(_ROUNDS):
+        carved = _carved(solid, _seen(solid, hull, blocked, views, maps), margin)
+        # Without its skin, which a line of sight along the surface may touch.
+        blocked = np.asarray(ndimage.binary_erosion(carved < 0), dtype=bool)
+    return solid.holding(signed_distance(_one_piece(carved < 0, hull), carved, solid.cell))
+
+
+def _seen(
+    solid: Volume,
+    hull: Bool[np.ndarray, "x y z"],
+    blocked: Bool[np.ndarray, "x y z"],
+    views: PackedViews,
+    maps: DepthMaps,
+) -> Float32[np.ndarray, "x y z"]:
+    """Distance to what the maps show inside the hull, cut at the truncation, filled where no view knows."""
+    truncation = np.float32(_TRUNCATION * solid.cell)
     points = solid.points
     total, weight = np.zeros(len(points), np.float32), np.zeros(len(points), np.float32)
-    fuse(points, maps.depths, views.poses, views.lenses, np.float32(truncation), total, weight)
-    total, weight = total.reshape(solid.shape), weight.reshape(solid.shape)
+    fuse(
+        points,
+        hull.reshape(-1),
+        maps.depths,
+        views.poses,
+        views.lenses,
+        views.positions,
+        truncation,
+        blocked,
+        np.array(solid.origin, np.float32),
+        np.float32(solid.cell),
+        total,
+        weight,
+    )
+    total, weight = total.reshape(hull.shape), weight.reshape(hull.shape)
     prior = np.clip(solid.values, -truncation, truncation)
-    seen = _fill(total / np.maximum(weight, 1), np.minimum(weight, _SURE) / _SURE, prior)
+    return _fill(total / np.maximum(weight, 1), np.minimum(weight, _SURE) / _SURE, prior)
+
+
+def _carved(solid: Volume, seen: Float32[np.ndarray, "x y z"], margin: float) -> Float32[np.ndarray, "x y z"]:
     deeper = seen - solid.values
     share = np.clip(deeper / np.float32(max(margin, 1e-6)) - 1, 0, 1)
-    carved = solid.values + share * deeper
-    return solid.holding(signed_distance(_one_piece(carved < 0, solid.values < 0), carved, solid.cell))
+    return solid.values + share * deeper
 
 
 def _fill(

@@ -330,22 +330,44 @@ def _between(depths, u, v, jump):
     return total / weight if furthest - nearest < jump else nearest
 
 
-@njit(parallel=True, **_OPTIONS)
-def fuse(points, depths, poses, lenses, truncation, total, weight):
-    """Per point, the sum over views of how far in front of the seen surface it lies, and the number of such views.
+@njit(inline="always", **_OPTIONS)
+def _clear(solid, origin, cell, x, y, z, camera):
+    """Whether no solid cell lies between a place and a camera, but for the two cells next to the place."""
+    dx, dy, dz = camera[0] - x, camera[1] - y, camera[2] - z
+    scale = cell / np.sqrt(dx * dx + dy * dy + dz * dz)
+    dx, dy, dz = dx * scale, dy * scale, dz * scale
+    i, j, k = (x - origin[0]) / cell, (y - origin[1]) / cell, (z - origin[2]) / cell
+    di, dj, dk = dx / cell, dy / cell, dz / cell
+    i, j, k = i + 2 * di, j + 2 * dj, k + 2 * dk
+    while 0 <= i < solid.shape[0] and 0 <= j < solid.shape[1] and 0 <= k < solid.shape[2]:
+        if solid[int(i), int(j), int(k)]:
+            return False
+        i, j, k = i + di, j + dj, k + dk
+    return True
 
-    Cut at ``truncation`` in front; a view says nothing about what lies deeper than that behind what it sees.
+
+@njit(parallel=True, **_OPTIONS)
+def fuse(points, wanted, depths, poses, lenses, positions, truncation, solid, origin, cell, total, weight):
+    """Per ``wanted`` point, the sum over views of how far in front of the seen surface it lies, and the number of such
+    views.
+
+    Cut at ``truncation`` in front; a view says nothing about what lies deeper than that behind what it sees, nor that a
+    place is empty which it would have to see through what is ``solid``.
     """
-    views = depths.shape[0]
     for n in prange(points.shape[0]):
-        x, y, z = points[n, 0], points[n, 1], points[n, 2]
         total[n] = 0
         weight[n] = 0
-        for i in range(views):
+        if not wanted[n]:
+            continue
+        x, y, z = points[n, 0], points[n, 1], points[n, 2]
+        for i in range(depths.shape[0]):
             u, v, far = _project(poses[i], lenses[i], x, y, z)
             if not far > _NEAR:
                 continue
             ahead = _between(depths[i], u - np.float32(0.5), v - np.float32(0.5), truncation) - far
-            if ahead >= -truncation:
-                total[n] += min(ahead, truncation)
-                weight[n] += 1
+            if not ahead >= -truncation:
+                continue
+            if ahead > truncation and not _clear(solid, origin, cell, x, y, z, positions[i]):
+                continue
+            total[n] += min(ahead, truncation)
+            weight[n] += 1

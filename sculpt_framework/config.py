@@ -150,6 +150,8 @@ class TrainerConfig:
     """Every so many train views one is held out for choosing the best state; 0: none."""
     fit_steps: int = 200
     """Steps of fitting the field to the initial surface."""
+    warm_up_steps: int = 0
+    """Inner steps before the surface first moves: what has no colour yet pulls it wrong ways."""
     polish_steps: int = 100
     """Inner steps on the final surface, for the colours that are saved."""
     checkpoint_seconds: float = 60.0

@@ -7,12 +7,12 @@ Everything else that is raised is a fault of ours and keeps its traceback.
 class SculptError(Exception):
     """The user's input or machine does not allow what was asked.
 
-    The message is one line for people: what was given, what was expected, what to do. Line breaks and other control
-    characters, which a name from the input may hold, are shown escaped.
+    The message is one line for people: what was given, what was expected, what to do. It stays one line where a name
+    from the input holds line breaks.
     """
 
     def __init__(self, message: str):
-        super().__init__("".join(c if c.isprintable() else repr(c)[1:-1] for c in message))
+        super().__init__(" ".join(message.split()))
 
 
 class ConfigError(SculptError):

@@ -25,7 +25,7 @@ from sculpt_plugins.rasterizers.auto.config import AutoRasterizerConfig
 
 
 def gaussian_sculpting() -> MethodConfig:
-    """The default: hash-grid SDF, FlexiCubes, warm inner loop, coarse to fine; minutes on a CPU."""
+    """The default: hash-grid SDF, FlexiCubes, warm inner loop, from the carved hull; minutes on a CPU."""
     return MethodConfig(
         method="gaussian-sculpting",
         field=HashGridFieldConfig(),
@@ -41,10 +41,9 @@ def gaussian_sculpting() -> MethodConfig:
         trainer=TrainerConfig(
             outer_steps=240,
             base_cells=32,
-            stages=(
-                StageConfig(share=0.25, time_share=0.12, level=1, image_scale=0.5, inner_steps=4, outer_views=4),
-                StageConfig(share=0.75, time_share=0.88, level=2, image_scale=1.0, inner_steps=4, outer_views=4),
-            ),
+            warm_up_steps=40,
+            # One stage: what the initializer knows is finer than coarser cells could hold.
+            stages=(StageConfig(share=1.0, level=2, image_scale=1.0, inner_steps=4, outer_views=4),),
         ),
     )
 
@@ -61,6 +60,7 @@ def gaussian_sculpting_tiny() -> MethodConfig:
             outer_steps=24,
             base_cells=16,
             fit_steps=60,
+            warm_up_steps=0,
             polish_steps=20,
             stages=(
                 StageConfig(share=0.4, level=0, image_scale=0.25, inner_steps=2, outer_views=2),

@@ -116,7 +116,8 @@ class BiLevelTrainer:
         self.scene.follow(surface)
         inner_loss = None
         if self._config.gradient_isolation and not stage.silhouette_only:
-            inner_loss = self.inner_loop(surface, images, stage.inner_steps, rate_factor)
+            first = self._config.warm_up_steps if self.inner_total == 0 else 0
+            inner_loss = self.inner_loop(surface, images, first + stage.inner_steps, rate_factor)
         self._check_scene()
         views = stage.outer_views if self._config.gradient_isolation else stage.outer_views + stage.inner_steps
         binding = self.scene.bind(surface, learn=not self._config.gradient_isolation)

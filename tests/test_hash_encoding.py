@@ -6,7 +6,9 @@ import torch
 from sculpt_framework.encodings.hash_grid import HashEncoding, corner_entries, encode_in_torch
 
 
-def _encoding(levels: int = 4, features: int = 2, log2_table: int = 10, seed: int = 0) -> HashEncoding:
+def _encoding(
+    levels: int = 4, features: int = 2, log2_table: int = 10, seed: int = 0, sum_levels: bool = False
+) -> HashEncoding:
     """Coarse levels dense, fine ones hashed: 5^3 corners fit 2^10 entries, 33^3 do not."""
     torch.manual_seed(seed)
     return HashEncoding(
@@ -16,6 +18,7 @@ def _encoding(levels: int = 4, features: int = 2, log2_table: int = 10, seed: in
         base_resolution=4,
         finest_resolution=32,
         init_scale=1.0,
+        sum_levels=sum_levels,
     )
 
 
@@ -38,13 +41,14 @@ def _points(count: int = 500) -> torch.Tensor:
 
 @pytest.mark.parametrize("features", [1, 2, 3, 4, 5])
 @pytest.mark.parametrize("log2_table", [4, 10, 16])
-def test_compiled_is_the_twin(features: int, log2_table: int):
-    encoding = _encoding(features=features, log2_table=log2_table)
+@pytest.mark.parametrize("sum_levels", [False, True])
+def test_compiled_is_the_twin(features: int, log2_table: int, sum_levels: bool):
+    encoding = _encoding(features=features, log2_table=log2_table, sum_levels=sum_levels)
     points = _points().requires_grad_(True)
     twin_points = points.detach().double().requires_grad_(True)
     twin_tables = [table.detach().double().requires_grad_(True) for table in encoding.tables]
     encoded = encoding(points)
-    expected = encode_in_torch(twin_points, twin_tables, encoding.resolutions)
+    expected = encode_in_torch(twin_points, twin_tables, encoding.resolutions, sum_levels)
     torch.testing.assert_close(encoded.double(), expected, rtol=0.0, atol=2e-5)
     weights = torch.randn(encoded.shape, generator=torch.Generator().manual_seed(2))
     (encoded * weights).sum().backward()

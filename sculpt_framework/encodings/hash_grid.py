@@ -24,7 +24,8 @@ class HashEncoding(nn.Module):
     Grid sizes grow geometrically from ``base_resolution`` to ``finest_resolution`` cells across. A grid whose corners
     fit a table of 2^log2_table entries is stored corner by corner, without collisions. Tables start uniformly random
     within ``init_scale`` of zero. Each level is a parameter of its own: an inactive one gets no gradient, so that an
-    optimiser spends nothing on it either.
+    optimiser spends nothing on it either. With ``sum_levels`` the levels' features are added up, else they are written
+    side by side.
     """
 
     def __init__(
@@ -36,6 +37,7 @@ class HashEncoding(nn.Module):
         base_resolution: int,
         finest_resolution: int,
         init_scale: float,
+        sum_levels: bool = False,
     ):
         super().__init__()
         if not (levels >= 1 and features_per_level >= 1 and 1 <= log2_table <= 31):
@@ -51,21 +53,24 @@ class HashEncoding(nn.Module):
         self.resolutions = tuple(round(base_resolution * growth**level) for level in range(levels))
         """Cells across [-1, 1], coarsest first."""
         self.features_per_level = features_per_level
+        self.sum_levels = sum_levels
         sizes = [min((resolution + 1) ** 3, 2**log2_table) for resolution in self.resolutions]
         self.tables = nn.ParameterList(
             nn.Parameter(torch.empty(size, features_per_level).uniform_(-init_scale, init_scale)) for size in sizes
         )
 
     def forward(self, points: Float[Tensor, "n 3"], active_levels: int | None = None) -> Float[Tensor, "n c"]:
-        """Features of all levels, coarsest first; those beyond ``active_levels`` are 0 and cost nothing."""
+        """Features of all levels, coarsest first, or their sum; those beyond ``active_levels`` are 0 and cost nothing."""
         active = len(self.resolutions) if active_levels is None else active_levels
         if not 0 <= active <= len(self.resolutions):
             raise ValueError(f"{active} active levels of a hash grid that has {len(self.resolutions)}")
         tables, resolutions = list(self.tables)[:active], self.resolutions[:active]
         if active and points.device.type == "cpu" and points.dtype == tables[0].dtype == torch.float32:
-            encoded = _CompiledEncoding.apply(points, resolutions, *tables)
+            encoded = _CompiledEncoding.apply(points, resolutions, self.sum_levels, *tables)
         else:
-            encoded = encode_in_torch(points, tables, resolutions)
+            encoded = encode_in_torch(points, tables, resolutions, self.sum_levels)
+        if self.sum_levels:
+            return encoded
         idle = (len(self.resolutions) - active) * self.features_per_level
         return torch.cat([encoded, encoded.new_zeros(points.shape[0], idle)], dim=1) if idle else encoded
 
@@ -74,23 +79,24 @@ class _CompiledEncoding(torch.autograd.Function):
     """``encode_in_torch`` for float32 on the CPU, level by level. Not differentiable twice."""
 
     @staticmethod
-    def forward(ctx, points: Tensor, resolutions: tuple[int, ...], *tables: Tensor) -> Tensor:
+    def forward(ctx, points: Tensor, resolutions: tuple[int, ...], sum_levels: bool, *tables: Tensor) -> Tensor:
         ctx.resolutions = resolutions
+        ctx.width = 0 if sum_levels else tables[0].shape[1]
         ctx.save_for_backward(points, *tables)
         share_threads()
         features = tables[0].shape[1]
-        out = torch.empty(points.shape[0], len(tables) * features)
+        out = torch.zeros(points.shape[0], features if sum_levels else len(tables) * features)
         where = points.detach().contiguous().numpy()
         for level, (table, resolution) in enumerate(zip(tables, resolutions, strict=True)):
             values = table.detach().contiguous().numpy()
-            hash_grid_kernels.encode_level(where, values, resolution, level * features, out.numpy())
+            hash_grid_kernels.encode_level(where, values, resolution, level * ctx.width, out.numpy())
         return out
 
     @staticmethod
     @once_differentiable
     def backward(ctx, to_out: Tensor) -> tuple[Tensor | None, ...]:
         points, *tables = ctx.saved_tensors
-        threads, features = share_threads(), tables[0].shape[1]
+        threads = share_threads()
         where, slopes = points.detach().contiguous().numpy(), to_out.contiguous().numpy()
         levels = list(enumerate(zip(tables, ctx.resolutions, strict=True)))
         to_points = None
@@ -99,21 +105,21 @@ class _CompiledEncoding(torch.autograd.Function):
             for level, (table, resolution) in levels:
                 values = table.detach().contiguous().numpy()
                 hash_grid_kernels.differentiate_points(
-                    where, values, resolution, level * features, slopes, to_points.numpy()
+                    where, values, resolution, level * ctx.width, slopes, to_points.numpy()
                 )
         to_tables: list[Tensor | None] = [None] * len(tables)
 
         def differentiate_table(level: int) -> None:
-            if ctx.needs_input_grad[2 + level]:
+            if ctx.needs_input_grad[3 + level]:
                 to_table = torch.zeros(tables[level].shape)
                 hash_grid_kernels.differentiate_table(
-                    where, ctx.resolutions[level], level * features, slopes, to_table.numpy()
+                    where, ctx.resolutions[level], level * ctx.width, slopes, to_table.numpy()
                 )
                 to_tables[level] = to_table
 
         # The finest first: they take longest.
         _on_threads(differentiate_table, reversed(range(len(tables))), threads)
-        return to_points, None, *to_tables
+        return to_points, None, None, *to_tables
 
 
 def _on_threads(work: Callable[[int], None], items: Iterable[int], threads: int) -> None:
@@ -128,7 +134,7 @@ def _on_threads(work: Callable[[int], None], items: Iterable[int], threads: int)
 
 
 def encode_in_torch(
-    points: Float[Tensor, "n 3"], tables: list[Tensor], resolutions: tuple[int, ...]
+    points: Float[Tensor, "n 3"], tables: list[Tensor], resolutions: tuple[int, ...], sum_levels: bool = False
 ) -> Float[Tensor, "n c"]:
     """The encoding in plain torch: any device and floating-point type."""
     if not tables:
@@ -137,7 +143,7 @@ def encode_in_torch(
     levels = [
         _level(inside * resolution, table, resolution) for table, resolution in zip(tables, resolutions, strict=True)
     ]
-    return torch.cat(levels, dim=1)
+    return torch.stack(levels).sum(dim=0) if sum_levels else torch.cat(levels, dim=1)
 
 
 def _level(position: Float[Tensor, "n 3"], table: Float[Tensor, "e c"], resolution: int) -> Float[Tensor, "n c"]:

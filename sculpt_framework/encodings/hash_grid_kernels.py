@@ -63,7 +63,7 @@ def _encode(points, table, resolution, column, features, first, end, out):
         gx, gy, gz = _ONE - fx, _ONE - fy, _ONE - fz
         w0, w1, w2, w3 = gy * gz, fy * gz, gy * fz, fy * fz
         for f in range(features):
-            out[n, column + f] = (
+            out[n, column + f] += (
                 w0 * (gx * table[r0, f] + fx * table[r1, f])
                 + w1 * (gx * table[r2, f] + fx * table[r3, f])
                 + w2 * (gx * table[r4, f] + fx * table[r5, f])
@@ -73,7 +73,7 @@ def _encode(points, table, resolution, column, features, first, end, out):
 
 @njit(parallel=True, **_OPTIONS)
 def encode_level(points, table, resolution, column, out):
-    """out[:, column : column + features] = trilinear features; ``table`` is (entries, features)."""
+    """out[:, column : column + features] += trilinear features; ``table`` is (entries, features)."""
     count, features = points.shape[0], table.shape[1]
     for chunk in prange((count + _CHUNK - 1) // _CHUNK):
         first, end = chunk * _CHUNK, min((chunk + 1) * _CHUNK, count)

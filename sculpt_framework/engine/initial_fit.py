@@ -27,12 +27,13 @@ def fit_to_views(
     views: Sequence[View],
     box: Box,
     grid: Grid,
+    detail: float,
     generator: torch.Generator,
     device: torch.device,
 ) -> float:
     """Fit the field to what the method's initializer makes of the views, in world frame; returns as ``fit_field``.
 
-    ``grid`` is at level 0. Raises DataError if no start can be made from the views.
+    ``grid`` is at level 0, ``detail`` the size of the first stage's cells in object units, which the field is told. Raises DataError if no start can be made from the views.
     """
     cameras = [in_object_frame(view, box) for view in views]
     target = config.initializer.build().target(cameras, box.half_sides, device)
@@ -40,7 +41,11 @@ def fit_to_views(
     while config.trainer.base_cells << (level + 1) <= _INITIAL_CELLS:
         level += 1
     fine = grid.at_level(level)
-    return fit_field(field, target, fine, steps=config.trainer.fit_steps, generator=generator, device=device)
+    # Only the detail that the table shows: finer levels would learn what happens between its corners, which is noise.
+    field.set_detail(max(detail, fine.cell))
+    error = fit_field(field, target, fine, steps=config.trainer.fit_steps, generator=generator, device=device)
+    field.set_detail(detail)
+    return error
 
 
 def tabulate(target: SdfFunction, grid: Grid, device: torch.device) -> tuple[Float[Tensor, "n 3"], Float[Tensor, " n"]]:

@@ -132,10 +132,8 @@ class Pipeline:
 
     def _start(self) -> None:
         """Fit the field to the initial surface and find the cells it passes through."""
-        # Only the levels of detail that the first stage uses: finer ones would wake up later with stale detail.
-        self._trainer.field.set_detail(self._parts.detail)
-        grid, box, device = self._parts.grid, self.scene.box, self._parts.device
-        error = fit_to_views(self._trainer.field, self.config, self._views, box, grid, self._generator, device)
+        grid, box, device, detail = self._parts.grid, self.scene.box, self._parts.device, self._parts.detail
+        error = fit_to_views(self._trainer.field, self.config, self._views, box, grid, detail, self._generator, device)
         self._emit("decision", announcements.initial_surface(self.config, error))
 
     def _advance(self, progress: float) -> None:

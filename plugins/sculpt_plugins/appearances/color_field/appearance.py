@@ -28,6 +28,7 @@ class ColorFieldAppearance(Appearance):
             base_resolution=config.base_resolution,
             finest_resolution=config.finest_resolution,
             init_scale=0.0,
+            sum_levels=True,
         )
 
     @property
@@ -53,8 +54,8 @@ class ColorFieldAppearance(Appearance):
 
     def forward(self, means: Float[Tensor, "f k 3"], rows: Mapping[str, Tensor]) -> Float[Tensor, "f k b 3"]:
         points = means.detach().reshape(-1, 3)
-        encoded = self._encoding(points).reshape(*means.shape[:2], self._config.num_levels, 4)
-        base = (encoded[..., :3].sum(dim=2) + rows["residual_dc"]).unsqueeze(2)
+        encoded = self._encoding(points).reshape(*means.shape[:2], 4)
+        base = (encoded[..., :3] + rows["residual_dc"]).unsqueeze(2)
         return base if self.sh_degree == 0 else torch.cat([base, rows["residual_rest"]], dim=2)
 
     def optimizer_groups(self) -> list[dict]:

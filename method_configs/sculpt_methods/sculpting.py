@@ -39,7 +39,7 @@ def gaussian_sculpting() -> MethodConfig:
         constraints=(MeeScaleConfig(), BoundaryConfig(), SpacingConfig(), CoverageConfig()),
         observers=(ConsoleConfig(), RecorderConfig()),
         trainer=TrainerConfig(
-            outer_steps=240,
+            outer_steps=160,
             base_cells=32,
             warm_up_steps=40,
             # One stage: what the initializer knows is finer than coarser cells could hold.

@@ -60,7 +60,7 @@ class HashEncoding(nn.Module):
         )
 
     def forward(self, points: Float[Tensor, "n 3"], active_levels: int | None = None) -> Float[Tensor, "n c"]:
-        """Features of all levels, coarsest first, or their sum; those beyond ``active_levels`` are 0 and cost nothing."""
+        """Features of all levels, coarsest first, or their sum; beyond ``active_levels`` 0, at no cost."""
         active = len(self.resolutions) if active_levels is None else active_levels
         if not 0 <= active <= len(self.resolutions):
             raise ValueError(f"{active} active levels of a hash grid that has {len(self.resolutions)}")

@@ -33,7 +33,8 @@ def fit_to_views(
 ) -> float:
     """Fit the field to what the method's initializer makes of the views, in world frame; returns as ``fit_field``.
 
-    ``grid`` is at level 0, ``detail`` the size of the first stage's cells in object units, which the field is told. Raises DataError if no start can be made from the views.
+    ``grid`` is at level 0, ``detail`` the size of the first stage's cells in object units, which the field is told.
+    Raises DataError if no start can be made from the views.
     """
     cameras = [in_object_frame(view, box) for view in views]
     target = config.initializer.build().target(cameras, box.half_sides, device)

@@ -92,6 +92,7 @@ class Pipeline:
         self._last_good: dict[str, Tensor] | None = None
         self._rate_scale = 1.0
         self._recoveries = 0
+        self._pace_from: tuple[float, float] | None = None
         self._evaluation_seconds = 0.0
         self._last_checkpoint = time.monotonic()
 
@@ -409,8 +410,10 @@ class Pipeline:
         return time.monotonic() - self.clock.wall_seconds + max(1.0, self.config.max_time - left)
 
     def _eta(self) -> float | None:
-        progress = self._schedule.progress(self.outer)
-        return None if progress <= 0 else self.clock.train_seconds * (1 - progress) / progress
+        """By the pace since the first step, before which the start was made and colours were warmed up."""
+        progress, seconds = self._schedule.progress(self.outer), self.clock.train_seconds
+        first, began = self._pace_from = self._pace_from or (progress, seconds)
+        return None if progress <= first else (seconds - began) * (1 - progress) / (progress - first)
 
     def _whole_image(self, view: View) -> TrainingImage:
         return prepare_image(view, self.scene.box, 1.0, self._parts.device, crop=False)

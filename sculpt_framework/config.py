@@ -152,6 +152,9 @@ class TrainerConfig:
     """Steps of fitting the field to the initial surface."""
     warm_up_steps: int = 0
     """Inner steps before the surface first moves: what has no colour yet pulls it wrong ways."""
+    ramp_steps: int = 1
+    """Outer steps over which the surface's rates grow to their full size: Adam's first steps are as long for noise as
+    for what matters, and would roughen a good start."""
     polish_steps: int = 100
     """Inner steps on the final surface, for the colours that are saved."""
     checkpoint_seconds: float = 60.0

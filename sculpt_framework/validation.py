@@ -45,6 +45,7 @@ def _check_trainer(trainer: TrainerConfig) -> None:
     _require(trainer.holdout_every >= 0, "trainer.holdout-every", trainer.holdout_every, "0 or more")
     _require(trainer.fit_steps >= 0, "trainer.fit-steps", trainer.fit_steps, "0 or more")
     _require(trainer.warm_up_steps >= 0, "trainer.warm-up-steps", trainer.warm_up_steps, "0 or more")
+    _require(trainer.ramp_steps >= 1, "trainer.ramp-steps", trainer.ramp_steps, "1 or more")
     _require(trainer.polish_steps >= 0, "trainer.polish-steps", trainer.polish_steps, "0 or more")
     _require(
         trainer.checkpoint_seconds > 0, "trainer.checkpoint-seconds", trainer.checkpoint_seconds, "seconds above 0"

@@ -42,6 +42,7 @@ def gaussian_sculpting() -> MethodConfig:
             outer_steps=160,
             base_cells=32,
             warm_up_steps=40,
+            ramp_steps=15,
             # One stage: what the initializer knows is finer than coarser cells could hold.
             stages=(StageConfig(share=1.0, level=2, image_scale=1.0, inner_steps=4, outer_views=4),),
         ),
@@ -61,6 +62,7 @@ def gaussian_sculpting_tiny() -> MethodConfig:
             base_cells=16,
             fit_steps=60,
             warm_up_steps=0,
+            ramp_steps=1,
             polish_steps=20,
             stages=(
                 StageConfig(share=0.4, level=0, image_scale=0.25, inner_steps=2, outer_views=2),

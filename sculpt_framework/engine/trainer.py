@@ -141,11 +141,13 @@ class BiLevelTrainer:
         # One walk through extraction and field for all terms together: it costs as much as a render.
         torch.autograd.backward(roots, gradients)
         self._check_gradients()
+        taken = max((int(state["step"]) for state in self.optimizer.state.values()), default=0)
+        surface_rate = rate_factor * self.surface_rate * min(1.0, (taken + 1) / self._config.ramp_steps)
         for group, rate in zip(self.optimizer.param_groups, self._field_rates, strict=True):
-            group["lr"] = rate * rate_factor * self.surface_rate
+            group["lr"] = rate * surface_rate
         self.optimizer.step()
         for table in self.extractor.tables.values():
-            table.step(rate_factor * self.surface_rate)
+            table.step(surface_rate)
         self._check_shape()
         if not self._config.gradient_isolation:
             self.scene.step(rate_factor * self.gaussian_rate)

@@ -88,7 +88,7 @@ def test_full_crosses_everything():
 
 @pytest.mark.parametrize(("level", "cells"), [(1, "64"), (2, "128")])
 def test_the_discrete_field_has_a_number_per_corner_of_the_finest_grid(level: int, cells: str):
-    (setting,) = made("--trainer.stages.1.level", str(level), factors=("field",)).settings[2:]
+    (setting,) = made("--trainer.stages.0.level", str(level), factors=("field",)).settings[2:]
     assert setting.words == ("--field", "dense-grid", "--field.resolution", cells)
 
 

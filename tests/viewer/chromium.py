@@ -26,6 +26,19 @@ _OPTIONS = (
     "--remote-debugging-port=0",
     "--window-size=1500,950",
 )
+# Where the middle of what has a label is, if a press there would reach it.
+_PLACE = """
+    label => {
+        const all = [...document.querySelectorAll('button, label, [role=tab], .mantine-Checkbox-label')];
+        const found = all.find(each => each.innerText.trim() === label && each.offsetParent !== null);
+        if (!found) return null;
+        found.scrollIntoView({block: 'center', behavior: 'instant'});
+        const box = found.getBoundingClientRect();
+        const [x, y] = [box.x + box.width / 2, box.y + box.height / 2];
+        const top = document.elementFromPoint(x, y);
+        return top && (found.contains(top) || top.contains(found)) ? [x, y] : null;
+    }
+"""
 
 
 def find_chromium() -> str:
@@ -83,12 +96,17 @@ class Page:
         self._session: str | None = None
         self.requests: list[str] = []
         """Addresses the page has asked for."""
-        target = self.call("Target.createTarget", url="about:blank")["targetId"]
-        self._session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+        self._target = self.call("Target.createTarget", url="about:blank")["targetId"]
+        self._session = self.call("Target.attachToTarget", targetId=self._target, flatten=True)["sessionId"]
         for domain in ("Page", "Runtime", "Network"):
             self.call(f"{domain}.enable")
         self.call("Emulation.setDeviceMetricsOverride", width=1500, height=950, deviceScaleFactor=1, mobile=False)
+        self.call("Page.bringToFront")
         self.call("Page.navigate", url=url)
+        deadline = time.monotonic() + 60.0
+        while not self.evaluate("location.href !== 'about:blank' && document.readyState === 'complete'"):
+            assert time.monotonic() < deadline, f"{url} does not load"
+            time.sleep(0.1)
 
     def call(self, method: str, **arguments: object) -> dict[str, Any]:
         number = next(self._ids)
@@ -121,20 +139,14 @@ class Page:
             assert time.monotonic() < deadline, f"{words!r} is not in the page:\n{self.text()}"
             time.sleep(0.2)
 
-    def click(self, label: str) -> None:
-        """Press the button, tab or checkbox with this label, as a mouse does."""
-        script = """
-            (label => {
-                const all = [...document.querySelectorAll('button, label, [role=tab], .mantine-Checkbox-label')];
-                const found = all.find(each => each.innerText.trim() === label && each.offsetParent !== null);
-                if (!found) return null;
-                found.scrollIntoView({block: 'center'});
-                const box = found.getBoundingClientRect();
-                return [box.x + box.width / 2, box.y + box.height / 2];
-            })
-        """
-        place = self.evaluate(f"({script})({json.dumps(label)})")
-        assert place is not None, f"nothing is labelled {label!r}:\n{self.text()}"
+    def click(self, label: str, seconds: float = 90.0) -> None:
+        """Press the button, tab or checkbox with this label, as a mouse does, once it is there and at rest."""
+        deadline = time.monotonic() + seconds
+        place, before = None, None
+        while place is None or place != before:
+            assert time.monotonic() < deadline, f"nothing that can be pressed is labelled {label!r}:\n{self.text()}"
+            time.sleep(0.2)
+            before, place = place, self.evaluate(f"({_PLACE})({json.dumps(label)})")
         x, y = place
         for kind in ("mousePressed", "mouseReleased"):
             self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
@@ -149,4 +161,11 @@ class Page:
         return data
 
     def close(self) -> None:
+        """Close the tab: one left open goes on painting."""
+        self._session = None
+        self.call("Target.closeTarget", targetId=self._target)
+        self.forget()
+
+    def forget(self) -> None:
+        """Hang up, also on a browser that is gone."""
         self._socket.close()

@@ -18,7 +18,8 @@ from sculpt_plugins.observers.recorder.config import RecorderConfig
 def octahedron(size: float = 1.0, opacity: float = 0.99) -> Snapshot:
     vertices = size * torch.tensor([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]])
     faces = torch.tensor([[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]])
-    colors = torch.linspace(-1, 1, 8)[:, None, None].expand(8, 1, 3)
+    shade = torch.linspace(-1, 1, 8)
+    colors = torch.stack([shade, -shade, torch.ones(8)], dim=1)[:, None]
     return Snapshot(
         surface=Surface(vertices=vertices, faces=faces, face_keys=torch.arange(8)),
         gaussians=Gaussians(
@@ -26,7 +27,7 @@ def octahedron(size: float = 1.0, opacity: float = 0.99) -> Snapshot:
             scales=torch.tensor([0.01, 0.2, 0.1]).expand(8, 3).contiguous(),
             rotations=torch.eye(3).expand(8, 3, 3).contiguous(),
             opacities=torch.full((8,), opacity),
-            sh=colors.contiguous(),
+            sh=colors,
             face=torch.arange(8),
         ),
         box=Box(minimum=torch.tensor([-1.0, -1.0, 1.0]), maximum=torch.tensor([3.0, 3.0, 5.0])),

@@ -19,7 +19,8 @@ from .chromium import Chromium, Page
 pytestmark = pytest.mark.browser
 
 PICTURES = Path(__file__).parents[2] / "outputs" / "viewer-tests"
-STEPS = 400
+STEPS = 100_000
+"""More than any test waits for: a run ends when it is told to."""
 
 
 def eventually(condition: Callable[[], bool], seconds: float = 180.0) -> None:
@@ -32,13 +33,13 @@ def eventually(condition: Callable[[], bool], seconds: float = 180.0) -> None:
 class Run:
     """A training process with a viewer on a port of its own."""
 
-    def __init__(self, folder: Path, port: int):
+    def __init__(self, folder: Path, port: int, steps: int = STEPS):
         self.folder = folder / "run"
         self.address = f"http://127.0.0.1:{port}"
         self.log = folder / "log.txt"
         words = ["gaussian-sculpting-tiny", "--data", "demo", "--output", str(self.folder), "--threads", "1"]
         words += ["--viewer", "--observers.viser.port", str(port), "--observers.viser.seconds", "0.5"]
-        words += ["--observers.recorder.step-seconds", "0", "--trainer.outer-steps", str(STEPS)]
+        words += ["--observers.recorder.step-seconds", "0", "--trainer.outer-steps", str(steps)]
         script = "from sculpt_framework.cli.train import main; main()"
         with open(self.log, "wb") as log:
             self.process = subprocess.Popen([sys.executable, "-c", script, *words], stdout=log, stderr=log)
@@ -186,7 +187,7 @@ def test_a_browser_that_crashes_leaves_the_run_and_the_others_alone(run: Run, ch
     second = other.open(run.address)
     second.wait_for("of training:")
     other.kill()
-    second.close()
+    second.forget()
     other.close()
     before = run.steps
     eventually(lambda: run.steps > before + 2)
@@ -209,8 +210,8 @@ def test_stop_and_save_ends_the_run_with_a_mesh(run: Run, chromium: Chromium):
 
 
 def test_a_killed_run_can_be_looked_at(tmp_path: Path, chromium: Chromium):
-    run = Run(tmp_path, 7032)
-    eventually(lambda: run.steps >= 3)
+    run = Run(tmp_path, 7032, steps=4000)
+    eventually(lambda: run.steps >= 100)  # before that, nothing has a colour
     eventually(lambda: any((run.folder / "evolution").glob("*.npz")))
     run.kill()
     os.utime(run.folder / "events.jsonl", (1e9, 1e9))

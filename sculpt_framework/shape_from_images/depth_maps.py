@@ -17,10 +17,6 @@ with kernel_cache("sweep", Path(__file__).with_name("sweep_kernels.py")):
 _ANGLE = 20.0
 """Degrees between two views that are compared at best: more moves the image more per step of depth, but distorts it."""
 _ANGLES = (4.0, 45.0)
-_DOUBT = 1.0
-"""Agreeing points needed per contradicting one."""
-_FINER = 1.0
-"""Steps of depth per pixel of disparity, relative to those of the sweep, when depths are refined."""
 _TOLERANCE = 1.5
 """Depths are the same within so many steps of the sweep."""
 _WORST = 0.06
@@ -40,7 +36,7 @@ class SweepOptions:
     ambiguity: float
     """The nearest depth is taken whose cost is at most so many times the best one's."""
     agreeing: int
-    """Views that must have the same depth for it to be kept."""
+    """Points of other views that must fall on a depth for it to be kept."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -103,7 +99,7 @@ def refine_depths(fine: PackedViews, views: PackedViews, maps: DepthMaps, option
     share_threads()
     depths = np.full(fine.inside.shape, np.nan, np.float32)
     coarse = depths.copy()
-    step = maps.step * float(views.lenses[0, 0] / fine.lenses[0, 0]) / _FINER
+    step = maps.step * float(views.lenses[0, 0] / fine.lenses[0, 0])
     for i, others in enumerate(fine.neighbours(options.neighbours, _ANGLE, _ANGLES)):
         if not np.isfinite(maps.depths[i]).any():
             continue
@@ -135,12 +131,19 @@ def _agreed(
     A highlight lies behind the surface that shows it, and so does what a repeated pattern makes believe: some views
     agree on it, but more see the surface in front.
     """
-    agreeing, contradicting = np.zeros(depths.shape, np.int32), np.zeros(depths.shape, np.int32)
-    witness(depths, views.poses, views.lenses, views.positions, np.float32(tolerance), agreeing, contradicting)
+    agreed = np.full_like(depths, np.nan)
+    swept = np.flatnonzero(np.isfinite(depths).any(axis=(1, 2)))
+    if len(swept) == 0:
+        return agreed
+    some = depths[swept]
+    agreeing, contradicting = np.zeros(some.shape, np.int32), np.zeros(some.shape, np.int32)
+    cameras = views.poses[swept], views.lenses[swept], views.positions[swept]
+    witness(some, *cameras, np.float32(tolerance), agreeing, contradicting)
     # Points fall between pixels: over 3x3 of them the two numbers can be compared.
-    balance = (agreeing - _DOUBT * contradicting).astype(np.float32)
+    balance = (agreeing - contradicting).astype(np.float32)
     around = np.stack([cv2.blur(plane, (3, 3)) for plane in balance])
-    return np.where((agreeing >= least) & (around >= 0), depths, np.float32(np.nan))
+    agreed[swept] = np.where((agreeing >= least) & (around >= 0), some, np.float32(np.nan))
+    return agreed
 
 
 def _depth_maps(depths: Float32[np.ndarray, "v h w"], views: PackedViews, step: float) -> DepthMaps:

@@ -23,8 +23,6 @@ _PRIOR = 0.02
 _STIFFNESS = 0.3
 """Pull of the six neighbours, relative to that of a value that is sure: fills what no view knows, smoothly."""
 _SWEEPS = 100
-_ROUNDS = 2
-"""The first carves by all depths; then those that see through what is left are no longer believed."""
 _CRUMB = 1e-3
 """Pieces smaller than this share of the largest are mistakes."""
 
@@ -33,27 +31,30 @@ def carve(solid: Volume, views: PackedViews, maps: DepthMaps, margin: float) -> 
     """The volume's shape without what the depth maps see through, as a signed distance in object units.
 
     ``solid`` is a signed distance. What depths show less than ``margin`` below its surface is left alone, as depths are
-    no more exact than that; from twice as deep on they are believed as they are. Bubbles inside are filled, crumbs
+    no more exact than that; from twice as deep on they are believed as they are. What is left after all depths are
+    believed decides which of them would have to see through it: those are not. Bubbles inside are filled, crumbs
     outside removed.
     """
     hull = solid.values < 0
-    carved = solid.values
-    blocked = np.zeros(hull.shape, bool)
-    for _ in range(_ROUNDS):
-        carved = _carved(solid, _seen(solid, hull, blocked, views, maps), margin)
-        # Without its skin, which a line of sight along the surface may touch.
-        blocked = np.asarray(ndimage.binary_erosion(carved < 0), dtype=bool)
+    nothing = np.zeros((0, 0, 0), bool)
+    carved = _carved(solid, _seen(solid, hull, nothing, views, maps), margin)
+    # Without its skin, which a line of sight along the surface may touch.
+    left = np.asarray(ndimage.binary_erosion(carved < 0), dtype=bool)
+    carved = _carved(solid, _seen(solid, hull, left, views, maps), margin)
     return solid.holding(signed_distance(_one_piece(carved < 0, hull), carved, solid.cell))
 
 
 def _seen(
     solid: Volume,
     hull: Bool[np.ndarray, "x y z"],
-    blocked: Bool[np.ndarray, "x y z"],
+    blocked: Bool[np.ndarray, "x2 y2 z2"],
     views: PackedViews,
     maps: DepthMaps,
 ) -> Float32[np.ndarray, "x y z"]:
-    """Distance to what the maps show inside the hull, cut at the truncation, filled where no view knows."""
+    """Distance to what the maps show inside the hull, cut at the truncation, filled where no view knows.
+
+    Depths that see through ``blocked`` cells, the volume's or none at all, are not believed.
+    """
     truncation = np.float32(_TRUNCATION * solid.cell)
     points = solid.points
     total, weight = np.zeros(len(points), np.float32), np.zeros(len(points), np.float32)

@@ -79,6 +79,26 @@ def _solid(solid, origin, cell, x, y, z):
 
 
 @njit(inline="always", **_OPTIONS)
+def _cut_window(colors, view, row, column, window):
+    """Fill ``window`` with the 3 x 3 pixels around one of the view's."""
+    n = 0
+    for a in range(-1, 2):
+        for b in range(-1, 2):
+            for c in range(3):
+                window[n, c] = colors[view, row + a, column + b, c]
+            n += 1
+
+
+@njit(inline="always", **_OPTIONS)
+def _vertex(before, here, after):
+    """Where between its neighbours a minimum lies, by a parabola, in steps; 0 where they do not tell."""
+    bend = before + after - 2 * here
+    if not np.float32(1e-6) < bend < np.float32(np.inf):
+        return np.float32(0)
+    return min(max(np.float32(0.5) * (before - after) / bend, np.float32(-0.5)), np.float32(0.5))
+
+
+@njit(inline="always", **_OPTIONS)
 def _choose(costs, ambiguity):
     """(index, fraction, cost) of the first local minimum no worse than ``ambiguity`` times the best or than what is
     good enough; index -1: none."""
@@ -93,11 +113,7 @@ def _choose(costs, ambiguity):
         before = costs[d - 1] if d > 0 else np.float32(np.inf)
         after = costs[d + 1] if d + 1 < costs.shape[0] else np.float32(np.inf)
         if here <= limit and here <= before and here <= after:
-            bend = before + after - 2 * here
-            fraction = np.float32(0)
-            if bend < np.float32(np.inf) and bend > np.float32(1e-6):
-                fraction = min(max(np.float32(0.5) * (before - after) / bend, np.float32(-0.5)), np.float32(0.5))
-            return d, fraction, here
+            return d, _vertex(before, here, after), here
     return -1, np.float32(0), best
 
 
@@ -118,9 +134,7 @@ def _nearest_minimum(costs, middle):
             before = costs[d - 1] if d > 0 else costs[d]
             after = costs[d + 1] if d + 1 < count else costs[d]
             if costs[d] <= before and costs[d] <= after:
-                bend = before + after - 2 * costs[d]
-                fraction = np.float32(0.5) * (before - after) / bend if bend > np.float32(1e-6) else np.float32(0)
-                return d, min(max(fraction, np.float32(-0.5)), np.float32(0.5))
+                return d, _vertex(before, costs[d], after)
     return middle, np.float32(0)
 
 
@@ -180,12 +194,7 @@ def sweep(colors, inside, pose, position, lenses, view, others, relative, invers
             depths[row, column] = np.nan
             if row < 1 or column < 1 or row >= height - 1 or column >= width - 1 or not inside[view, row, column]:
                 continue
-            n = 0
-            for a in range(-1, 2):
-                for b in range(-1, 2):
-                    for c in range(3):
-                        window[n, c] = colors[view, row + a, column + b, c]
-                    n += 1
+            _cut_window(colors, view, row, column, window)
             x = (np.float32(column + 0.5) - lens[2]) * across
             y = (np.float32(row + 0.5) - lens[3]) * down
             ray = _ray(pose, lens, np.float32(column + 0.5), np.float32(row + 0.5))
@@ -227,12 +236,7 @@ def refine(colors, inside, lenses, view, others, relative, known, known_lens, st
             u, v = int(x * known_lens[0] + known_lens[2]), int(y * known_lens[1] + known_lens[3])
             if 0 <= v < known.shape[0] and 0 <= u < known.shape[1]:
                 coarse[row, column] = known[v, u]
-            n = 0
-            for a in range(-1, 2):
-                for b in range(-1, 2):
-                    for c in range(3):
-                        window[n, c] = colors[view, row + a, column + b, c]
-                    n += 1
+            _cut_window(colors, view, row, column, window)
             starts = 0
             least = np.float32(worst)
             # The middle first: what its neighbours know is often the same.
@@ -334,10 +338,9 @@ def _between(depths, u, v, jump):
 def _clear(solid, origin, cell, x, y, z, camera):
     """Whether no solid cell lies between a place and a camera, but for the two cells next to the place."""
     dx, dy, dz = camera[0] - x, camera[1] - y, camera[2] - z
-    scale = cell / np.sqrt(dx * dx + dy * dy + dz * dz)
-    dx, dy, dz = dx * scale, dy * scale, dz * scale
+    length = np.sqrt(dx * dx + dy * dy + dz * dz)
+    di, dj, dk = dx / length, dy / length, dz / length
     i, j, k = (x - origin[0]) / cell, (y - origin[1]) / cell, (z - origin[2]) / cell
-    di, dj, dk = dx / cell, dy / cell, dz / cell
     i, j, k = i + 2 * di, j + 2 * dj, k + 2 * dk
     while 0 <= i < solid.shape[0] and 0 <= j < solid.shape[1] and 0 <= k < solid.shape[2]:
         if solid[int(i), int(j), int(k)]:

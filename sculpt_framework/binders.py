@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import torch
 from jaxtyping import Float, Int64
@@ -25,6 +25,9 @@ class Binding:
     """Covariance in the face's own tangent frame (r1, r2), whatever in-plane rotation the Gaussian has."""
     tangent_corners: Float[Tensor, "f 3 2"]
     """The face's corners in the same tangent frame, origin at its centroid."""
+
+    def detach(self) -> "Binding":
+        return replace(self, **{field.name: getattr(self, field.name).detach() for field in fields(self)})
 
 
 class Binder(ABC):

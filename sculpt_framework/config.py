@@ -6,7 +6,7 @@ in the module named after the slot (``sculpt_framework/fields.py`` and so on).
 """
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -97,6 +97,10 @@ class ObserverConfig(ComponentConfig, ABC):
     @abstractmethod
     def build(self, run_dir: Path) -> "Observer": ...
 
+    def check(self) -> None:
+        """Raise SculptError if it cannot be built, as far as is known before anything is read or written."""
+        return
+
 
 @dataclass(frozen=True, kw_only=True)
 class StageConfig:
@@ -138,6 +142,9 @@ class TrainerConfig:
     """Optimise a detached copy of the Gaussians in the inner loop; off: one joint update of everything (ablation)."""
     warm_start: bool = True
     """Keep each face's Gaussian parameters and optimiser state across outer steps; off: start anew (paper)."""
+    inner_batch: int | None = None
+    """Views that one inner step takes together; there are as many fewer steps. Default: as many as there are processes
+    (torchrun), so one alone takes one; a run that is gone on with keeps its number."""
     bind_every: int = 4
     """Places, scales and rotations of the Gaussians learn in every so many inner steps; colours in all."""
     sh_degree_every: int = 1000
@@ -155,10 +162,62 @@ class TrainerConfig:
     ramp_steps: int = 1
     """Outer steps over which the surface's rates grow to their full size: Adam's first steps are as long for noise as
     for what matters, and would roughen a good start."""
+    trust_cells: float = 0.0
+    """How far one step may move the surface, in cells of the stage, where it moves farthest (all but 5 % of it), times
+    the learning rates' share of their start: a longer step is shortened. 0: as far as the rates take it."""
     polish_steps: int = 100
     """Inner steps on the final surface, for the colours that are saved."""
+    polish_gain_db: float = 0.0
+    """Stop that once ten steps gain less on two held-out views; 0: never."""
+    rest_after: int = 0
+    """Evaluations without effect after which a term of an objective rests, tried again every so many; 0: never."""
     checkpoint_seconds: float = 60.0
     """Wall seconds between checkpoints."""
+
+
+Switch = Literal["on", "off"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanConfig:
+    """What a run decides by itself from what the scene's data show (docs/plan.md).
+
+    An item that is None follows ``mode``; ``off`` leaves it as the method and the command line have it. What the
+    command line has set otherwise than the method is never decided.
+    """
+
+    mode: Switch = "off"
+    """Decide the items that say nothing themselves."""
+    silhouette: Switch | None = None
+    """Silhouette loss and start, by whether there are masks."""
+    stereo: Switch | None = None
+    """Depths from colours before training, by whether the colours say anything."""
+    views: Switch | None = None
+    """Views that see nothing or repeat another one."""
+    level: Switch | None = None
+    """The finest grid level, by the width of a pixel on the surface."""
+    images: Switch | None = None
+    """The size of the images, by the width of a cell in them."""
+    refinement: Switch | None = None
+    """Larger cells where the images show less, by how the width of a pixel varies."""
+    sh_degree: Switch | None = None
+    """Degree of the colours' spherical harmonics, by how colours change with the view."""
+    gaussians: Switch | None = None
+    """K per face, by the texture finer than a face."""
+    constraints: Switch | None = None
+    """Constraints that cannot act, or turn out not to."""
+    places: Switch | None = None
+    """Whether Gaussians learn their places and sizes on their faces, by the width of a face in the images."""
+    inner_steps: Switch | None = None
+    """Colour steps before and between two steps of the surface, by the texture."""
+    polish: Switch | None = None
+    """Colour steps after the last step of the surface, until they gain nothing."""
+
+    @property
+    def items(self) -> tuple[str, ...]:
+        """Names of the items to be decided, as the fields'."""
+        own = {each.name: getattr(self, each.name) for each in fields(PlanConfig) if each.name != "mode"}
+        return tuple(item for item, switch in own.items() if (switch or self.mode) == "on")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -187,6 +246,10 @@ class MethodConfig:
     """How many times cells are halved in these boxes."""
     repair: Path | None = None
     """A finished run that this one goes on with in these boxes; outside, its surface stays. Set by ``--resume``."""
+    skip_views: tuple[str, ...] = ()
+    """Names of train views to leave out; the scene plan adds those that show nothing new."""
+    plan: PlanConfig = PlanConfig()
+    """What to decide from the scene's data."""
     replay: Path | None = None
     """events.jsonl of an earlier run: what that run was told in its viewer is told again, at the same steps."""
     field: FieldConfig

@@ -6,10 +6,18 @@ starts with its own bias correction. torch.optim.Adam cannot: its moments are pe
 """
 
 from collections.abc import Mapping
+from pathlib import Path
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int64
 from torch import Tensor
+from torch.autograd.graph import increment_version
+
+from sculpt_framework.cpu_kernels import kernel_cache, share_threads
+
+with kernel_cache("keyed", Path(__file__).with_name("keyed_kernels.py")):
+    from sculpt_framework import keyed_kernels
 
 
 class KeyedTable:
@@ -30,6 +38,11 @@ class KeyedTable:
 
     def __len__(self) -> int:
         return self.keys.shape[0]
+
+    @property
+    def learning(self) -> list[Tensor]:
+        """The leaves that collect gradients, in the order of the learning rates."""
+        return [self.leaves[name] for name, rate in self.learning_rates.items() if rate > 0 and name in self.leaves]
 
     def locate(self, keys: Int64[Tensor, " m"]) -> tuple[Int64[Tensor, " m"], Bool[Tensor, " m"]]:
         """Row of each key and whether it is in the table; the row of an absent key is arbitrary but valid."""
@@ -60,7 +73,8 @@ class KeyedTable:
         had_rows = len(self) > 0
         for name, fresh in new_rows.items():
             mask = known.reshape(-1, *([1] * (fresh.ndim - 1)))
-            values, first, second = fresh.detach(), torch.zeros_like(fresh), torch.zeros_like(fresh)
+            values = fresh.detach().contiguous()
+            first, second = torch.zeros_like(values), torch.zeros_like(values)
             if heirs is not None:
                 values = _means(values, heirs, self.leaves[name].detach())
                 first = _means(first, heirs, self._first[name])
@@ -86,18 +100,14 @@ class KeyedTable:
         """One Adam step with the rows' own step counts; parameters without a gradient stay."""
         if all(leaf.grad is None for leaf in self.leaves.values()):
             return
-        beta1, beta2 = self.betas
         self._steps += 1
-        correction1 = 1 - beta1**self._steps
-        correction2 = (1 - beta2**self._steps).sqrt_()
         for name, leaf in self.leaves.items():
             if leaf.grad is None:
                 continue
-            shape = (-1, *([1] * (leaf.ndim - 1)))
-            first = self._first[name].lerp_(leaf.grad, 1 - beta1)
-            second = self._second[name].mul_(beta2).addcmul_(leaf.grad, leaf.grad, value=1 - beta2)
-            scale = (correction2 / correction1 * (rate_factor * self.learning_rates[name])).reshape(shape)
-            leaf.sub_(first / second.sqrt().add_(eps) * scale)
+            moments = (self._first[name], self._second[name])
+            compiled = leaf.device.type == "cpu" and leaf.dtype == leaf.grad.dtype == torch.float32
+            adam = _adam_compiled if compiled else adam_in_torch
+            adam(leaf, leaf.grad, *moments, self._steps, rate_factor * self.learning_rates[name], self.betas, eps)
 
     def state(self) -> dict[str, Tensor]:
         """Everything as named tensors, for a checkpoint."""
@@ -130,3 +140,58 @@ def _means(
     count = torch.bincount(heir, minlength=rows.shape[0]).reshape(-1, *([1] * (rows.ndim - 1)))
     summed = torch.zeros_like(rows).index_add(0, heir, table.index_select(0, lender))
     return torch.where(count > 0, summed / count.clamp(min=1), rows)
+
+
+def adam_in_torch(
+    values: Float[Tensor, "n ..."],
+    gradients: Float[Tensor, "n ..."],
+    first: Float[Tensor, "n ..."],
+    second: Float[Tensor, "n ..."],
+    steps: Float[Tensor, " n"],
+    rate: float,
+    betas: tuple[float, float],
+    eps: float,
+) -> None:
+    """Move ``values`` and both moments in place; ``steps`` counts this one."""
+    beta1, beta2 = betas
+    first.lerp_(gradients, 1 - beta1)
+    second.mul_(beta2).addcmul_(gradients, gradients, value=1 - beta2)
+    scale = (1 - beta2**steps).sqrt_() / (1 - beta1**steps) * rate
+    values.sub_(first / second.sqrt().add_(eps) * scale.reshape(-1, *([1] * (values.ndim - 1))))
+
+
+def _adam_compiled(
+    values: Float[Tensor, "n ..."],
+    gradients: Float[Tensor, "n ..."],
+    first: Float[Tensor, "n ..."],
+    second: Float[Tensor, "n ..."],
+    steps: Float[Tensor, " n"],
+    rate: float,
+    betas: tuple[float, float],
+    eps: float,
+) -> None:
+    """``adam_in_torch`` for float32 on the CPU."""
+    if len(steps) == 0:
+        return
+    share_threads()
+    # Steps from 1 upwards; there are far fewer of them than rows.
+    taken = np.arange(1, int(steps.max()) + 1)
+    rates = np.zeros(len(taken) + 1, np.float32)
+    rates[1:] = rate * np.sqrt(1 - betas[1] ** taken) / (1 - betas[0] ** taken)
+    keyed_kernels.adam(
+        _as_rows(values),
+        _as_rows(gradients.contiguous()),
+        _as_rows(first),
+        _as_rows(second),
+        steps.numpy(),
+        rates,
+        np.float32(betas[0]),
+        np.float32(betas[1]),
+        np.float32(eps),
+    )
+    increment_version(values)
+
+
+def _as_rows(tensor: Float[Tensor, "n ..."]) -> np.ndarray:
+    """The same memory as a matrix with a row per key."""
+    return tensor.detach().view(len(tensor), -1).numpy()

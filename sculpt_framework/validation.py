@@ -46,7 +46,12 @@ def _check_trainer(trainer: TrainerConfig) -> None:
     _require(trainer.fit_steps >= 0, "trainer.fit-steps", trainer.fit_steps, "0 or more")
     _require(trainer.warm_up_steps >= 0, "trainer.warm-up-steps", trainer.warm_up_steps, "0 or more")
     _require(trainer.ramp_steps >= 1, "trainer.ramp-steps", trainer.ramp_steps, "1 or more")
+    _require(trainer.trust_cells >= 0, "trainer.trust-cells", trainer.trust_cells, "0 or more")
     _require(trainer.polish_steps >= 0, "trainer.polish-steps", trainer.polish_steps, "0 or more")
+    _require(trainer.polish_gain_db >= 0, "trainer.polish-gain-db", trainer.polish_gain_db, "decibels, 0 or more")
+    batch = trainer.inner_batch
+    _require(batch is None or batch >= 1, "trainer.inner-batch", batch, "1 or more")
+    _require(trainer.rest_after >= 0, "trainer.rest-after", trainer.rest_after, "0 or more")
     _require(
         trainer.checkpoint_seconds > 0, "trainer.checkpoint-seconds", trainer.checkpoint_seconds, "seconds above 0"
     )

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from sculpt_framework.config import MethodConfig, StageConfig, TrainerConfig
+from sculpt_framework.config import MethodConfig, PlanConfig, StageConfig, TrainerConfig
 from sculpt_methods.sculpting import gaussian_sculpting
 from sculpt_plugins.appearances.per_gaussian.config import PerGaussianConfig
 from sculpt_plugins.binders.face_barycentric.config import FaceBarycentricConfig
@@ -26,6 +26,7 @@ def gaussian_sculpting_paper() -> MethodConfig:
     return replace(
         gaussian_sculpting(),
         method="gaussian-sculpting-paper",
+        plan=PlanConfig(mode="off"),
         field=MlpFieldConfig(
             hidden_layers=8,  # 4.1 "8 fully connected layers"
             hidden_units=256,  # 4.1 "256 hidden units"

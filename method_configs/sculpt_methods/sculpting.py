@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from sculpt_framework.config import MethodConfig, StageConfig, TrainerConfig
+from sculpt_framework.config import MethodConfig, PlanConfig, StageConfig, TrainerConfig
 from sculpt_plugins.appearances.color_field.config import ColorFieldConfig
 from sculpt_plugins.binders.face_barycentric.config import FaceBarycentricConfig
 from sculpt_plugins.constraints.boundary.config import BoundaryConfig
@@ -28,6 +28,8 @@ def gaussian_sculpting() -> MethodConfig:
     """The default: hash-grid SDF, FlexiCubes, warm inner loop, from the carved hull; minutes on a CPU."""
     return MethodConfig(
         method="gaussian-sculpting",
+        # What these two leave out costs a decibel (docs/plan.md).
+        plan=PlanConfig(mode="on", places="off", inner_steps="off"),
         field=HashGridFieldConfig(),
         extractor=FlexiCubesConfig(),
         binder=FaceBarycentricConfig(),
@@ -55,6 +57,7 @@ def gaussian_sculpting_tiny() -> MethodConfig:
     return replace(
         base,
         method="gaussian-sculpting-tiny",
+        plan=PlanConfig(mode="off"),
         initializer=VisualHullConfig(),
         trainer=replace(
             base.trainer,

@@ -1,7 +1,7 @@
 """``sculpt-ablate``: what each part of the method is worth, at equal cost, beside the paper's figures."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -9,11 +9,12 @@ from typing import Annotated, Literal
 import tyro
 
 from sculpt_framework.cli import exit_codes
+from sculpt_framework.cli.options import Flag
 from sculpt_framework.errors import ConfigError
 
 PROGRAM = "sculpt-ablate"
+PLAN = "--plan"
 DEFAULT_BUDGETS = {"seconds": 120.0, "steps": 240.0}
-Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="")]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,6 +37,9 @@ class AblateRequest:
         "start",
     )
     """What is varied: Table 3; neural or discrete SDF; gradient isolation; warm or cold start of the inner loop."""
+    plan: Flag = False
+    """Compare the method planned for each scene with everything on (docs/plan.md), in place of any factor. As many
+    steps as the method says, unless --budget is given."""
     full: Flag = False
     """Run every combination of the factors instead of one change at a time."""
     equal: tuple[Literal["seconds", "steps"], ...] = ("seconds",)
@@ -73,6 +77,11 @@ def ablate(words: Sequence[str]) -> None:
 
     check_extra(extra)
     scenes = planned_scenes(request.scenes)
+    if request.plan:
+        _check_plan(request, amounts, extra, words)
+        return
+    # What is varied is the method, whatever a scene needs of it.
+    extra = ["--plan", "off", *extra] if PLAN not in (word.partition("=")[0] for word in extra) else extra
     made = ablation(request.method, scenes[0], extra, factors=request.factors, full=request.full)
     budgets = [Budget(kind=kind, amount=amount) for kind, amount in amounts.items()]
     title = f"Ablation of {request.method}"
@@ -85,6 +94,28 @@ def ablate(words: Sequence[str]) -> None:
             notes(made),
             results_csv(results, made.levels),
         ),
+        asked=(PROGRAM, *words),
+        jobs=request.jobs,
+        retry_failed=request.retry_failed,
+        run=not request.show,
+    )
+
+
+def _check_plan(
+    request: AblateRequest, amounts: Mapping[str, float], extra: Sequence[str], words: Sequence[str]
+) -> None:
+    from sculpt_framework.experiments.carry_out import carry_out
+    from sculpt_framework.experiments.plan import Budget, cross, planned_scenes
+    from sculpt_framework.experiments.plan_check import LEVELS, plan_notes, plan_settings, plan_table
+    from sculpt_framework.experiments.results import results_csv
+
+    budgets = [Budget(kind=kind, amount=amount) for kind, amount in amounts.items()] if request.budget else [None]
+    title = f"The plan of {request.method}"
+    settings, scenes = plan_settings(request.method), planned_scenes(request.scenes)
+    carry_out(
+        cross(title, settings, scenes, budgets, request.seeds, extra),
+        request.out,
+        lambda results: ([plan_table(results)], plan_notes(), results_csv(results, LEVELS)),
         asked=(PROGRAM, *words),
         jobs=request.jobs,
         retry_failed=request.retry_failed,

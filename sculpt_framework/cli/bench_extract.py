@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from sculpt_framework.cli.options import Flag
 from sculpt_framework.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
     from sculpt_framework.extractors import Extractor
 
 PROGRAM = "sculpt-bench extract"
-Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="")]
 Way = Literal["flexicubes", "flexicubes-half", "flexicubes-octree", "marching-tetrahedra"]
 
 BASE_CELLS = 32

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from sculpt_framework import registry
+from sculpt_framework.cli.options import Flag
 from sculpt_framework.config import DatasetConfig, ExtractorConfig, InitializerConfig
 from sculpt_framework.errors import ConfigError, DataError
 
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
     from sculpt_framework.types import Scene
 
 PROGRAM = "sculpt-bench start"
-Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="")]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,6 +11,7 @@ import tyro
 
 from sculpt_framework import registry
 from sculpt_framework.cli.bench_splats import bumpy_sphere, bumpy_sphere_camera
+from sculpt_framework.cli.options import Flag
 from sculpt_framework.config import RasterizerConfig
 from sculpt_framework.errors import ConfigError
 
@@ -24,9 +25,8 @@ if TYPE_CHECKING:
 
 PROGRAM = "sculpt-bench step"
 _PARTS = ("bind", "colors", "render", "loss", "constraints", "backward", "update")
-_COMPILED = ("_CompiledEncoding", "_CompiledLoss", "_Rasterize")
+_COMPILED = ("_Bind", "_CompiledEncoding", "_CompiledExcess", "_CompiledLoss", "_Rasterize")
 _IDLE = 3
-Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="")]
 
 
 @dataclass(frozen=True, kw_only=True)

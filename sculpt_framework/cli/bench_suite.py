@@ -8,10 +8,10 @@ from typing import Annotated, Literal
 import tyro
 
 from sculpt_framework.cli.ablate import check_counts, split_extra
+from sculpt_framework.cli.options import Flag
 from sculpt_framework.errors import ConfigError
 
 PROGRAM = "sculpt-bench suite"
-Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="")]
 
 
 @dataclass(frozen=True, kw_only=True)

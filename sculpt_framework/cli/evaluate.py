@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from sculpt_framework.cli import exit_codes
+from sculpt_framework.cli.options import Flag
 from sculpt_framework.errors import ConfigError
 
 if TYPE_CHECKING:
     from sculpt_framework.evaluation.geometry import MeasuredMesh
-
-Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="")]
 
 
 @dataclass(frozen=True, kw_only=True)

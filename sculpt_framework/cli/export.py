@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from sculpt_framework.cli import exit_codes
+from sculpt_framework.cli.options import Flag
 from sculpt_framework.errors import CheckpointError, ConfigError
 
 if TYPE_CHECKING:
@@ -17,7 +18,6 @@ if TYPE_CHECKING:
     from sculpt_framework.export.assets import TexturedMesh
     from sculpt_framework.types import Scene
 
-Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="")]
 _ENDINGS = {"gaussians": ".ply", "turntable": ".gif"}
 
 

@@ -13,9 +13,12 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from sculpt_framework import registry
-from sculpt_framework.config import ComponentConfig, MethodConfig
+from sculpt_framework.config import ComponentConfig, MethodConfig, PlanConfig, Switch
 from sculpt_framework.errors import ComponentImportError, ConfigError, UnknownComponentError
 from sculpt_framework.registry import SLOTS, Slot
+
+Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="")]
+"""A switch that is off unless named: no ``--no-`` twin, no default in the help."""
 
 NONE = "none"
 VIEWER = "viser"
@@ -30,6 +33,7 @@ RUN_OPTIONS = (
     "reference",
     REFINE_BOX,
     "refine_box_levels",
+    "skip_views",
     "replay",
 )
 METAVARS = {
@@ -39,6 +43,7 @@ METAVARS = {
     "threads": "N",
     "reference": "FILE",
     REFINE_BOX: "X0 Y0 Z0 X1 Y1 Z1",
+    "skip_views": "NAME ...",
 }
 
 
@@ -101,7 +106,8 @@ def flags(config: MethodConfig) -> tuple[str, ...]:
     chosen = tuple(f"{slot}.{option}" for slot in SLOTS for option in _slot_flags(getattr(config, slot)))
     trainer = tuple(f"trainer.{option}" for option in _flags_of(config.trainer))
     general = tuple(name.replace("_", "-") for name in RUN_OPTIONS)
-    return (*general, "resume", "viewer", *SLOTS, *chosen, *trainer)
+    plan = tuple(f"plan.{option}" for option in _flags_of(config.plan) if option != "mode")
+    return (*general, "resume", "viewer", "plan", *plan, *SLOTS, *chosen, *trainer)
 
 
 def _choose(config: MethodConfig, slot: Slot, chosen: list[str]) -> MethodConfig:
@@ -165,6 +171,7 @@ def _options_type(config: MethodConfig) -> type[MethodConfig]:
             made.append((f"{slot.name}_chosen", choice, registry.name_of(current)))
             made.append((slot.name, type(current), current))
     made.append(("trainer", type(config.trainer), config.trainer))
+    made += _plan_options(config.plan)
     return make_dataclass(
         "Options",
         [(name, kind, field(default=default)) for name, kind, default in made],
@@ -172,6 +179,25 @@ def _options_type(config: MethodConfig) -> type[MethodConfig]:
         frozen=True,
         kw_only=True,
     )
+
+
+def _plan_options(plan: PlanConfig) -> list[tuple[str, Any, Any]]:
+    """``--plan on|off`` and a switch for each item."""
+    whole = tyro.conf.arg(name="plan", help="Decide from the scene's data what this run does without (docs/plan.md).")
+    item = tyro.conf.arg(metavar="on|off", help_behavior_hint="")
+    items = make_dataclass(
+        "Items",
+        [
+            (each.name, Annotated[each.type, item], field(default=getattr(plan, each.name)))
+            if each.name != "mode"
+            else (each.name, Annotated[each.type, tyro.conf.Suppress], field(default=plan.mode))
+            for each in fields(PlanConfig)
+        ],
+        bases=(PlanConfig,),
+        frozen=True,
+        kw_only=True,
+    )
+    return [("plan_mode", Annotated[Switch, whole], plan.mode), ("plan", items, items())]
 
 
 def _general_option(name: str, kind: Any) -> Any:
@@ -188,6 +214,8 @@ def _general_option(name: str, kind: Any) -> Any:
 
 def _config_of(options: MethodConfig) -> MethodConfig:
     values = {each.name: getattr(options, each.name) for each in fields(MethodConfig)}
+    chosen = {"mode": vars(options)["plan_mode"]}
+    values["plan"] = PlanConfig(**{each.name: getattr(options.plan, each.name) for each in fields(PlanConfig)} | chosen)
     for slot in SLOTS.values():
         if slot.many:
             group = values[slot.name]

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from sculpt_framework.cli import exit_codes
+from sculpt_framework.cli.options import Flag
 from sculpt_framework.errors import ConfigError
 
 if TYPE_CHECKING:
     from sculpt_framework.stress.cases import Result
 
 PROGRAM = "sculpt-stress"
-Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="")]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -45,7 +45,8 @@ def train() -> None:
     """Parse, check, train. Raises SculptError."""
     started = process_start()
     request = read_request(sys.argv[1:])
-    if request.resume is None:
+    # Of several processes (torchrun) the first makes the folder, and another may come later.
+    if request.resume is None and os.environ.get("RANK", "0") == "0":
         check_output(request.config)
     limit_threads(request.config.threads)
     check_device(request.config)
@@ -255,3 +256,7 @@ def _usable_cores() -> int:
     if sys.platform == "linux":
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+if __name__ == "__main__":
+    main()

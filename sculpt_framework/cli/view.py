@@ -50,6 +50,8 @@ def view(words: Sequence[str]) -> None:
     check_address(request.host, request.port, "--port")
     os.nice(_NICE)
     logging.basicConfig(format="%(message)s", stream=sys.stderr)
+    # It would tell with a traceback of everybody who opens the port and hangs up.
+    logging.getLogger("websockets").setLevel(logging.CRITICAL)
     from sculpt_framework.viewing.show import Show
 
     if request.steer:

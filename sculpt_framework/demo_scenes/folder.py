@@ -7,7 +7,7 @@ import shutil
 import tempfile
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -120,10 +120,12 @@ def _write(item: DemoObject, settings: DemoSettings, folder: Path, progress: Pro
             (folder / split).mkdir()
             document = {"camera_angle_x": FIELD_OF_VIEW, "frames": _frames(split, cameras)}
             (folder / f"transforms_{split}.json").write_text(json.dumps(document, indent=1), encoding="utf-8")
-            jobs += [(camera, folder / split / f"r_{index}.png") for index, camera in enumerate(cameras)]
+            jobs += [
+                (lit_in(item, index), camera, folder / split / f"r_{index}.png") for index, camera in enumerate(cameras)
+            ]
     with ThreadPoolExecutor(max_workers=torch.get_num_threads()) as pool:
         mesh = pool.submit(_write_mesh, item, settings.reference_cells or item.reference_cells, folder / "gt_mesh.ply")
-        pictures = [pool.submit(_write_picture, item, camera, path) for camera, path in jobs]
+        pictures = [pool.submit(_write_picture, *job) for job in jobs]
         try:
             for done, picture in enumerate(pictures, start=1):
                 picture.result()
@@ -142,9 +144,20 @@ def _frames(split: str, cameras: Sequence[Camera]) -> list[dict[str, object]]:
     return frames
 
 
+def lit_in(item: DemoObject, index: int) -> DemoObject:
+    """The object as it looks in the picture of this number."""
+    if item.lamps_lit is None or index % item.lamps_lit[0] == item.lamps_lit[1]:
+        return item
+    return replace(item, gloss=0.0)
+
+
 def _write_picture(item: DemoObject, camera: Camera, path: Path) -> None:
     rgb, alpha = render(item, camera)
-    pixels = np.concatenate([rgb[..., ::-1], alpha[..., None]], axis=2)
+    if item.backdrop is None:
+        pixels = np.concatenate([rgb[..., ::-1], alpha[..., None]], axis=2)
+    else:
+        wall = np.array(item.backdrop, np.float32)
+        pixels = (rgb * alpha[..., None] + wall * (1 - alpha[..., None]))[..., ::-1]
     done, encoded = cv2.imencode(".png", np.round(pixels * 255).astype(np.uint8))
     if not done:
         raise OSError(0, "the PNG encoder failed")

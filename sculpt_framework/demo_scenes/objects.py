@@ -22,7 +22,7 @@ from sculpt_framework.demo_scenes.distance import (
     smooth_union,
     sphere,
 )
-from sculpt_framework.demo_scenes.texture import SolidTexture
+from sculpt_framework.demo_scenes.texture import Color, SolidTexture
 from sculpt_framework.errors import DataError
 
 DEFAULT = "blob"
@@ -39,6 +39,13 @@ class DemoObject:
     genus: int
     gloss: float = 0.0
     """Brightness of the highlights of four lamps, added to the colour; 0: matt."""
+    lamps_lit: tuple[int, int] | None = None
+    """The lamps shine in the pictures whose number has the second as its rest when divided by the first; None: in all
+    of them."""
+    backdrop: Color | None = None
+    """sRGB in [0, 1] of the wall behind the object, in pictures without alpha; None: pictures with alpha."""
+    resolution: int = 400
+    """Side of the square images in pixels, unless a user asks for another."""
     seen_from: Placement = "around"
     reference_cells: int = 128
     """Cells along the diameter of the unit ball when the reference mesh is extracted."""
@@ -129,6 +136,16 @@ def flask(p: Points) -> Values:
     return smooth_union(body, ring(p, (0.0, 0.42, 0.2), 0, 0.28, 0.05), 0.05)
 
 
+def pebble(p: Points) -> Values:
+    return smooth_union(sphere(p, (0.12, 0.0, -0.1), 0.6), sphere(p, (-0.35, 0.1, 0.12), 0.42), 0.4)
+
+
+def needle(p: Points) -> Values:
+    """A body with a rod whose thickness is that of two or three cells of the finest level."""
+    body = smooth_union(sphere(p, (0.0, 0.0, -0.35), 0.5), capsule(p, (0.0, 0.0, 0.1), (0.0, 0.0, 0.9), 0.022), 0.05)
+    return smooth_union(body, capsule(p, (0.3, 0.0, -0.2), (0.9, 0.0, 0.1), 0.022), 0.05)
+
+
 OBJECTS = {
     item.name: item
     for item in (
@@ -183,6 +200,76 @@ OBJECTS = {
             texture=SolidTexture(ground=(0.25, 0.4, 0.35), patches=(0.28, 0.42, 0.4), spots=(0.22, 0.36, 0.4), seed=71),
             genus=1,
             gloss=0.6,
+        ),
+        DemoObject(
+            name="pebble",
+            summary="smooth and of one colour",
+            distance=pebble,
+            texture=SolidTexture(
+                ground=(0.7, 0.68, 0.62),
+                patches=(0.7, 0.68, 0.62),
+                spots=(0.7, 0.68, 0.62),
+                seed=81,
+                speckle=0.0,
+                grain=0.0,
+            ),
+            genus=0,
+        ),
+        DemoObject(
+            name="granite",
+            summary="smooth, with texture finer than the cells, in large pictures",
+            distance=pebble,
+            texture=SolidTexture(
+                ground=(0.6, 0.58, 0.56),
+                patches=(0.5, 0.46, 0.46),
+                spots=(0.3, 0.28, 0.28),
+                seed=91,
+                speckle_wavelength=0.03,
+                grain_wavelength=0.018,
+                speckle=0.2,
+                grain=0.25,
+            ),
+            genus=0,
+            resolution=800,
+        ),
+        DemoObject(
+            name="studio",
+            summary="no alpha: pictures before a wall of one colour",
+            distance=blob,
+            texture=SolidTexture(ground=(0.85, 0.55, 0.25), patches=(0.2, 0.45, 0.5), spots=(0.95, 0.9, 0.75), seed=11),
+            genus=0,
+            backdrop=(0.25, 0.7, 0.35),
+        ),
+        DemoObject(
+            name="two-faced",
+            summary="five dents, texture on one side only: most views show a plain ball",
+            distance=dents,
+            texture=SolidTexture(
+                ground=(0.75, 0.6, 0.45),
+                patches=(0.85, 0.75, 0.45),
+                spots=(0.2, 0.25, 0.45),
+                seed=22,
+                plain_beyond=-0.3,
+            ),
+            genus=0,
+        ),
+        DemoObject(
+            name="flash",
+            summary="matt, but for highlights in one view of ten: those that are held out",
+            distance=blob,
+            texture=SolidTexture(ground=(0.4, 0.35, 0.3), patches=(0.2, 0.3, 0.4), spots=(0.5, 0.4, 0.3), seed=12),
+            genus=0,
+            gloss=0.5,
+            lamps_lit=(10, 5),
+        ),
+        DemoObject(
+            name="needle",
+            summary="two rods thinner than a coarser grid could hold, in small pictures",
+            distance=needle,
+            texture=SolidTexture(ground=(0.5, 0.55, 0.65), patches=(0.8, 0.75, 0.6), spots=(0.6, 0.3, 0.25), seed=101),
+            genus=0,
+            resolution=160,
+            reference_cells=192,
         ),
     )
 }

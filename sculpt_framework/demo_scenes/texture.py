@@ -25,6 +25,12 @@ class SolidTexture:
     speckle_wavelength: float = 0.11
     grain_wavelength: float = 0.05
     """About seven pixels of the default images: fine, but never near the sampling limit."""
+    speckle: float = 0.16
+    """Share by which brightness varies at the speckles' wavelength."""
+    grain: float = 0.07
+    """The same of the grain."""
+    plain_beyond: float | None = None
+    """Where x is larger than this there is nothing but the ground's colour; None: texture everywhere."""
 
     def __call__(self, points: Points) -> Float[np.ndarray, "3 n"]:
         """sRGB in [0, 1]."""
@@ -32,7 +38,10 @@ class SolidTexture:
         spot = _step(_waves(points, self.spot_wavelength, 9, self.seed + 1), 0.9, 5.0)
         speckle = np.tanh(2 * _waves(points, self.speckle_wavelength, 7, self.seed + 2))
         grain = _waves(points, self.grain_wavelength, 7, self.seed + 3)
-        light = 1 + 0.16 * speckle + 0.07 * grain
+        light = 1 + self.speckle * speckle + self.grain * grain
+        if self.plain_beyond is not None:
+            kept = _step(self.plain_beyond - points[0], 0.0, 20.0)
+            patch, spot, light = kept * patch, kept * spot, 1 + kept * (light - 1)
         rows = []
         for ground, patches, spots in zip(self.ground, self.patches, self.spots, strict=True):
             color = ground + (patches - ground) * patch

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from sculpt_framework.config import MethodConfig, StageConfig
+from sculpt_framework.config import MethodConfig, TrainerConfig
 from sculpt_framework.engine.assembly import Parts
 from sculpt_framework.engine.inputs import input_digests
 from sculpt_framework.engine.measuring import resident_megabytes
@@ -47,11 +47,11 @@ def initial_surface(config: MethodConfig, fit_error: float) -> dict[str, Any]:
     return {"item": "initial surface", "value": name, "fit_error": fit_error}
 
 
-def stage_entered(index: int, stages: Sequence[StageConfig], grid: Grid) -> dict[str, Any]:
-    stage = stages[index]
+def stage_entered(index: int, trainer: TrainerConfig, grid: Grid) -> dict[str, Any]:
+    stage = trainer.stages[index]
     return {
         "index": index,
-        "count": len(stages),
+        "count": len(trainer.stages),
         "level": stage.level,
         "grid": list(grid.shape),
         "image_scale": stage.image_scale,
@@ -78,8 +78,10 @@ def outer_step(report: StepReport, *, progress: float, psnr: float | None, eta_s
         "loss": report.loss,
         "terms": report.terms,
         "inner_loss": report.inner_loss,
+        "inner_s": report.inner_seconds,
         "faces": report.faces,
         "gaussians": report.gaussians,
+        "step_kept": report.step_kept,
         "psnr": psnr,
         "rss_mb": resident_megabytes(),
         "eta_s": eta_seconds,

@@ -1,6 +1,6 @@
 """From a config to the components it names."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -8,6 +8,7 @@ import torch
 from sculpt_framework.config import MethodConfig, TrainerConfig
 from sculpt_framework.engine.gaussian_scene import GaussianScene
 from sculpt_framework.engine.images import TrainingImage
+from sculpt_framework.engine.parallel import Processes
 from sculpt_framework.engine.trainer import BiLevelTrainer, Objectives, Weighted
 from sculpt_framework.errors import ConfigError, DeviceError
 from sculpt_framework.extractors import Extractor, RefiningExtractor
@@ -17,7 +18,7 @@ from sculpt_framework.geometry.octree_policy import LevelMap, level_map, wanted_
 from sculpt_framework.losses import GeometryLoss, ImageLoss
 from sculpt_framework.rasterizers import Rasterizer
 from sculpt_framework.registry import name_of
-from sculpt_framework.types import Box
+from sculpt_framework.types import Box, Scene
 
 PHOTOMETRIC, SILHOUETTE = "photometric", "silhouette"
 
@@ -48,7 +49,9 @@ def pick_device(wanted: str) -> torch.device:
     return torch.device("cuda" if available and wanted != "cpu" else "cpu")
 
 
-def build_parts(config: MethodConfig, box: Box, generator: torch.Generator) -> Parts:
+def build_parts(
+    config: MethodConfig, box: Box, generator: torch.Generator, processes: Processes | None = None
+) -> Parts:
     """Build every component. Parameters are drawn from torch's own generator, seeded here with the run's seed."""
     device = pick_device(config.device)
     trainer = config.trainer
@@ -72,6 +75,7 @@ def build_parts(config: MethodConfig, box: Box, generator: torch.Generator) -> P
             objectives=build_objectives(config),
             config=trainer,
             generator=generator,
+            processes=processes,
         ),
     )
 
@@ -173,6 +177,18 @@ def build_objectives(config: MethodConfig) -> Objectives:
         geometry=geometry,
         constraints=[Weighted(name=name_of(c), weight=c.weight, term=c.build()) for c in config.constraints],
     )
+
+
+def without_views(scene: Scene, names: Collection[str]) -> Scene:
+    """The scene without train views of these names. Raises ConfigError for a name it has not, or if none is left."""
+    known = {view.name for view in scene.train}
+    for name in names:
+        if name not in known:
+            raise ConfigError(f"--skip-views {name}: the scene has no train view of that name.")
+    kept = tuple(view for view in scene.train if view.name not in names)
+    if not kept:
+        raise ConfigError("--skip-views names all train views; a run needs some.")
+    return scene if len(kept) == len(scene.train) else replace(scene, train=kept)
 
 
 def split_views(count: int, every: int) -> tuple[Sequence[int], Sequence[int]]:

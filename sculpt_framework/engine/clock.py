@@ -72,3 +72,9 @@ class TrainingClock:
     def now(self) -> float:
         """Seconds from some instant; stands still while the process is idle."""
         return time.monotonic() - self._idle()
+
+    def deadline(self, limit: float | None, *, share_left: float, seconds_left: float) -> float | None:
+        """The ``time.monotonic()`` instant at which so much of ``limit`` wall seconds is left; None without a limit."""
+        if limit is None:
+            return None
+        return time.monotonic() - self.wall_seconds + max(1.0, limit - seconds_left - share_left * limit)

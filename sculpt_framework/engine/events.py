@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 EventName = Literal[
+    "plan",
     "run_started",
     "stage",
     "outer_step",

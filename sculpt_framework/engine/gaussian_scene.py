@@ -31,6 +31,16 @@ class GaussianScene:
         """Standard deviation of the screen's low-pass filter at the object, in object units; follows the images."""
         self._centroids: Float[Tensor, "f 3"] | None = None
 
+    @property
+    def learns_places(self) -> bool:
+        """Whether the binder has anything to learn."""
+        return any(rate > 0 for rate in self.geometry_rows.learning_rates.values())
+
+    @property
+    def learning(self) -> list[Tensor]:
+        """What learns: rows of both tables, and the appearance's own parameters."""
+        return [*self.geometry_rows.learning, *self.appearance_rows.learning, *self.appearance.parameters()]
+
     def forget(self) -> None:
         """Drop all rows: the next surface starts with new Gaussians (paper: a cold start at every outer step)."""
         self.geometry_rows = KeyedTable(self.binder.learning_rates)
@@ -110,6 +120,33 @@ def assemble(binding: Binding, sh: Float[Tensor, "f k b 3"]) -> Gaussians:
         sh=sh.flatten(0, 1),
         face=owning_faces(faces, k, binding.means.device),
     )
+
+
+def as_leaves(gaussians: Gaussians) -> Gaussians:
+    """The same values, cut off; those that a gradient can go on from collect one."""
+
+    def leaf(value: Tensor) -> Tensor:
+        return value.detach().requires_grad_(value.requires_grad)
+
+    return Gaussians(
+        means=leaf(gaussians.means),
+        scales=leaf(gaussians.scales),
+        rotations=leaf(gaussians.rotations),
+        opacities=leaf(gaussians.opacities),
+        sh=leaf(gaussians.sh),
+        face=gaussians.face,
+    )
+
+
+def tensor_pairs(first: Gaussians, second: Gaussians) -> list[tuple[Tensor, Tensor]]:
+    """What two sets of Gaussians have, tensor by tensor."""
+    return [
+        (first.means, second.means),
+        (first.scales, second.scales),
+        (first.rotations, second.rotations),
+        (first.opacities, second.opacities),
+        (first.sh, second.sh),
+    ]
 
 
 def _nearest_faces(

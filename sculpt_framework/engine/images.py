@@ -40,7 +40,7 @@ def prepare_image(view: View, box: Box, scale: float, device: torch.device, *, c
     rgb = view.rgb if view.alpha is None else view.rgb * view.alpha[..., None]
     alpha = view.alpha
     if crop:
-        x0, y0, x1, y1 = _object_window(view, camera, box)
+        x0, y0, x1, y1 = object_window(view, camera, box)
         camera = camera.crop(x0, y0, x1 - x0, y1 - y0)
         rgb = rgb[y0:y1, x0:x1]
         alpha = None if alpha is None else alpha[y0:y1, x0:x1]
@@ -73,7 +73,7 @@ def _shrink(image: Float[Tensor, "h w *c"], width: int, height: int) -> Float[Te
     return torch.from_numpy(cv2.resize(image.numpy(), (width, height), interpolation=cv2.INTER_AREA))
 
 
-def _object_window(view: View, camera: Camera, box: Box) -> tuple[int, int, int, int]:
+def object_window(view: View, camera: Camera, box: Box) -> tuple[int, int, int, int]:
     """Columns and rows [x0, x1) x [y0, y1) that hold the object, with a margin; the whole image if nothing is known."""
     low, high = np.zeros(2), np.array([camera.width, camera.height], dtype=float)
     if view.alpha is not None:

@@ -1,5 +1,6 @@
 """What a run measures of itself: held-out views, and the memory it takes."""
 
+import math
 import resource
 import sys
 from collections.abc import Sequence
@@ -7,10 +8,12 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
+from sculpt_framework.engine.gaussian_scene import GaussianScene
 from sculpt_framework.engine.images import TrainingImage
+from sculpt_framework.engine.reconstruction import object_gaussians
 from sculpt_framework.evaluation.images import mask_iou, psnr, ssim
 from sculpt_framework.rasterizers import Rasterizer
-from sculpt_framework.types import Gaussians
+from sculpt_framework.types import Gaussians, Surface
 
 
 def image_measures(
@@ -28,6 +31,20 @@ def image_measures(
         if target.alpha is not None:
             scores["iou"].append(mask_iou(rendering.alpha, target.alpha))
     return {name: float(np.mean(values)) if values else None for name, values in scores.items()}
+
+
+def splat_measures(
+    rasterizer: Rasterizer,
+    scene: GaussianScene,
+    surface: Surface,
+    images: Sequence[TrainingImage],
+    low_pass_px2: float,
+) -> dict[str, float | None]:
+    """``image_measures`` of the Gaussians on a surface. Raises FloatingPointError where these are not finite."""
+    row = image_measures(rasterizer, object_gaussians(scene, surface), images, low_pass_px2)
+    if row["psnr"] is not None and not math.isfinite(row["psnr"]):
+        raise FloatingPointError("the rendering of a held-out view is not finite")
+    return row
 
 
 def resident_megabytes() -> float:

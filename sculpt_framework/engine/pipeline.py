@@ -10,16 +10,18 @@ from torch import Tensor
 
 from sculpt_framework.config import MethodConfig, StageConfig
 from sculpt_framework.cpu_kernels import CompileSeconds
-from sculpt_framework.engine import announcements
+from sculpt_framework.engine import announcements, assembly, foresight
 from sculpt_framework.engine.assembly import Parts, build_parts, fit_seeds, refine_in, spare_cells, split_views
 from sculpt_framework.engine.clock import TrainingClock, process_start
 from sculpt_framework.engine.events import Event, EventName
 from sculpt_framework.engine.images import TrainingImage, pixel_footprint, prepare_image
 from sculpt_framework.engine.initial_fit import fit_to_views
-from sculpt_framework.engine.measuring import image_measures, resident_megabytes
+from sculpt_framework.engine.measuring import resident_megabytes, splat_measures
 from sculpt_framework.engine.milestones import Milestones
-from sculpt_framework.engine.reconstruction import Reconstruction, object_gaussians, reconstruct, world_mesh
-from sculpt_framework.engine.schedule import Schedule
+from sculpt_framework.engine.parallel import Alone, Processes, ProcessLost
+from sculpt_framework.engine.polish import polish
+from sculpt_framework.engine.reconstruction import Reconstruction, reconstruct, world_mesh
+from sculpt_framework.engine.schedule import Pace, Schedule
 from sculpt_framework.engine.state import Progress, capture, restore, split_best, undisturbed, with_best
 from sculpt_framework.engine.trainer import BiLevelTrainer
 from sculpt_framework.engine.view_pictures import Album
@@ -36,8 +38,6 @@ from sculpt_framework.types import Scene, Surface, View
 _CURVE_SAMPLES = 20_000
 _HELD_OUT_AT_MOST = 10
 """More views than this add evaluation time, not knowledge."""
-_POLISH_CHUNK = 10
-"""Inner steps between two looks at the clock."""
 _RECOVERIES_AT_MOST = 3
 _UNSTABLE = (FloatingPointError, EmptySurfaceError)
 """What a step or a measurement raises when the optimisation has gone wrong."""
@@ -60,9 +60,11 @@ class Pipeline:
         should_stop: Callable[[], bool] = lambda: False,
         save: Callable[[Mapping[str, Tensor], Progress], None] | None = None,
         started: float | None = None,
+        processes: Processes | None = None,
     ):
         self.config = config
-        self.scene = scene if scene is not None else config.dataset.build(config.data).load()
+        loaded = scene if scene is not None else config.dataset.build(config.data).load()
+        self.scene = assembly.without_views(loaded, config.skip_views)
         self._compiling = CompileSeconds()
         self.clock = TrainingClock(started if started is not None else process_start(), idle=self._compiling)
         self.outer = 0
@@ -70,9 +72,10 @@ class Pipeline:
         self._should_stop = should_stop
         self._save = save
         self._generator = torch.Generator().manual_seed(config.seed)
-        self._parts = build_parts(config, self.scene.box, self._generator)
+        self._parts = build_parts(config, self.scene.box, self._generator, processes)
         self._trainer = self._parts.trainer
-        self._schedule = Schedule(config.trainer, self._deadline(share_left=0.08, seconds_left=3.0))
+        end = self.clock.deadline(config.max_time, share_left=0.08, seconds_left=3.0)
+        self._schedule = Schedule(config.trainer, end)
         chosen, held_out = split_views(len(self.scene.train), config.trainer.holdout_every)
         self._views = [self.scene.train[index] for index in chosen]
         self._held_out = [self._whole_image(self.scene.train[index]) for index in held_out[:_HELD_OUT_AT_MOST]]
@@ -92,7 +95,7 @@ class Pipeline:
         self._last_good: dict[str, Tensor] | None = None
         self._rate_scale = 1.0
         self._recoveries = 0
-        self._pace_from: tuple[float, float] | None = None
+        self._pace = Pace()
         self._evaluation_seconds = 0.0
         self._last_checkpoint = time.monotonic()
 
@@ -114,8 +117,9 @@ class Pipeline:
             self._start()
         else:
             self._resume(*resume)
+        first = self._trainer.processes.first
         try:
-            while (progress := self._schedule.progress(self.outer)) < 1.0:
+            while (progress := first(lambda: self._schedule.progress(self.outer))) < 1.0:
                 if self._should_stop():
                     self._status = "stopped"
                     break
@@ -124,6 +128,11 @@ class Pipeline:
                 self._enter_stage(progress)
             # Before the end changes anything, so that going on from here is as if there had been no stop.
             self.save_checkpoint()
+        except ProcessLost:
+            # Whoever is left saves: all hold the same.
+            self._trainer.processes = Alone()
+            self.save_checkpoint()
+            raise
         except TrainingFailed as error:
             if self._last_good is None:
                 raise
@@ -135,6 +144,7 @@ class Pipeline:
         """Fit the field to the initial surface and find the cells it passes through."""
         grid, box, device, detail = self._parts.grid, self.scene.box, self._parts.device, self._parts.detail
         error = fit_to_views(self._trainer.field, self.config, self._views, box, grid, detail, self._generator, device)
+        self._trainer.equalize()
         self._emit("decision", announcements.initial_surface(self.config, error))
 
     def _advance(self, progress: float) -> None:
@@ -151,11 +161,11 @@ class Pipeline:
         if index == self._stage_index:
             return stage
         self._set_level(stage.level)
+        if self._trainer.seeds is None:
+            self._discover()
         self._load_images(stage)
         self._trainer.view_order = []
         self._stage_index = index
-        if self._trainer.seeds is None:
-            self._discover()
         self._announce_stage(index)
         self._evaluate("stage", progress)
         if self.outer == 0:
@@ -165,11 +175,11 @@ class Pipeline:
         return stage
 
     def _announce_stage(self, index: int) -> None:
-        grid = self._trainer.extractor.grid
-        self._emit("stage", announcements.stage_entered(index, self.config.trainer.stages, grid))
+        self._emit("stage", announcements.stage_entered(index, self.config.trainer, self._trainer.extractor.grid))
 
     def _load_images(self, stage: StageConfig) -> None:
-        box, device = self.scene.box, self._parts.device
+        box, device, number = self.scene.box, self._parts.device, self.config.trainer.stages.index(stage)
+        foresight.check_memory(self._trainer, self._views, box, stage, number, self.warn)
         self._images = [prepare_image(view, box, stage.image_scale, device) for view in self._views]
         spare_cells(self._trainer.extractor, self.config.trainer, self._images)
         self._trainer.scene.blur = math.sqrt(self.config.trainer.low_pass_px2) * pixel_footprint(self._images)
@@ -194,8 +204,11 @@ class Pipeline:
         report = self._trainer.outer_step(self._images, stage, self._schedule.rate_factor(progress) * self._rate_scale)
         self.outer += 1
         progress, psnr = self._schedule.progress(self.outer), self._milestones.latest("psnr")
-        data = announcements.outer_step(report, progress=progress, psnr=psnr, eta_seconds=self._eta())
+        eta = self._pace.left(progress, self.clock.train_seconds)
+        data = announcements.outer_step(report, progress=progress, psnr=psnr, eta_seconds=eta)
         self._emit("outer_step", data)
+        for told in self._trainer.resting.news():
+            self._emit("decision", told)
 
     def _recover(self, error: Exception) -> None:
         """Back to the last good state at half the learning rates; give up after repeated failure."""
@@ -235,6 +248,7 @@ class Pipeline:
             self._return_to(kept)
             surface = self._follow_surface()
         self.clock.stop()
+        trainer.processes = Alone()  # What is left to do is the first one's.
         self._result = surface
         return reconstruct(trainer.scene, surface, self.scene.box)
 
@@ -250,11 +264,11 @@ class Pipeline:
 
     def _polish(self, surface: Surface) -> None:
         """Colours on the final surface, for as many steps as the method says and the time limit allows."""
-        deadline = self._deadline(share_left=0.025, seconds_left=2.0)
-        for _ in range(0, self.config.trainer.polish_steps, _POLISH_CHUNK):
-            if deadline is not None and time.monotonic() >= deadline:
-                return
-            self._trainer.inner_loop(surface, self._images, _POLISH_CHUNK, rate_factor=0.3)
+        config, rasterizer = self.config.trainer, self._parts.rasterizer
+        end = self.clock.deadline(self.config.max_time, share_left=0.025, seconds_left=2.0)
+        told = polish(self._trainer, rasterizer, surface, self._images, self._held_out, config, end)
+        if told is not None:
+            self._emit("decision", told)
 
     def _follow_surface(self) -> Surface:
         """The current surface without gradient, with the Gaussians' rows on it."""
@@ -265,30 +279,30 @@ class Pipeline:
     # -- measuring and telling -----------------------------------------------------------------------------------
 
     def _report_if_due(self, progress: float) -> None:
-        reason = self._milestones.due(progress, self.clock.train_seconds, self._evaluation_seconds)
+        now, spent = self.clock.train_seconds, self._evaluation_seconds
+        reason = self._trainer.processes.first(lambda: self._milestones.due(progress, now, spent))
         if reason is not None:
             self._evaluate(reason, progress)
             self._keep_good()
-        since = time.monotonic() - self._last_checkpoint
-        if self._save is not None and since >= self.config.trainer.checkpoint_seconds:
+        if time.monotonic() - self._last_checkpoint >= self.config.trainer.checkpoint_seconds:
             self.save_checkpoint()
 
     def _evaluate(self, reason: str, progress: float) -> None:
         """Measure the current surface on held-out views and against the reference; the clock stands still meanwhile."""
         began = self.clock.now
         with self.clock.pause(), torch.no_grad(), undisturbed(self._trainer):
-            scene, surface = self._trainer.scene, self._result or self._follow_surface()
-            row: dict[str, Any] = {"reason": reason, "progress": progress}
-            row |= announcements.sizes(self._trainer, surface) | {"t_cpu_s": self.clock.cpu_seconds}
-            gaussians, low_pass = object_gaussians(scene, surface), self.config.trainer.low_pass_px2
-            row |= image_measures(self._parts.rasterizer, gaussians, self._held_out, low_pass)
-            if row["psnr"] is not None and not math.isfinite(row["psnr"]):
-                raise FloatingPointError("the rendering of a held-out view is not finite")
-            row |= mesh_measures(world_mesh(surface, self.scene.box)[0], self._reference, _CURVE_SAMPLES)
+            row = {"reason": reason, "progress": progress, **self._trainer.processes.first(self._measured)}
         self._milestones.add(progress, row)
         self._evaluation_seconds += self.clock.now - began
         self._emit("evaluation", row)
         self._keep_best(reason, row["psnr"])
+
+    def _measured(self) -> dict[str, Any]:
+        trainer, surface = self._trainer, self._result or self._follow_surface()
+        rasterizer, low_pass = self._parts.rasterizer, self.config.trainer.low_pass_px2
+        row = splat_measures(rasterizer, trainer.scene, surface, self._held_out, low_pass)
+        row = announcements.sizes(trainer, surface) | {"t_cpu_s": self.clock.cpu_seconds} | row
+        return row | mesh_measures(world_mesh(surface, self.scene.box)[0], self._reference, _CURVE_SAMPLES)
 
     def _keep_best(self, reason: str, score: float | None) -> None:
         """Keep the state if its held-out views are the best of the last stage so far.
@@ -356,7 +370,7 @@ class Pipeline:
 
     def save_checkpoint(self) -> None:
         """Hand the whole state to whoever keeps it."""
-        if self._save is None or self._trainer.seeds is None:
+        if self._save is None or self._trainer.seeds is None or not self._trainer.processes.leads:
             return
         with self.clock.pause():
             progress = Progress(
@@ -401,19 +415,6 @@ class Pipeline:
         self._last_good = capture(self._trainer, self._stage_index, self._generator)
 
     # -- small things --------------------------------------------------------------------------------------------
-
-    def _deadline(self, *, share_left: float, seconds_left: float) -> float | None:
-        """The instant at which so much of ``--max-time`` is left; None without a limit."""
-        if self.config.max_time is None:
-            return None
-        left = seconds_left + share_left * self.config.max_time
-        return time.monotonic() - self.clock.wall_seconds + max(1.0, self.config.max_time - left)
-
-    def _eta(self) -> float | None:
-        """By the pace since the first step, before which the start was made and colours were warmed up."""
-        progress, seconds = self._schedule.progress(self.outer), self.clock.train_seconds
-        first, began = self._pace_from = self._pace_from or (progress, seconds)
-        return None if progress <= first else (seconds - began) * (1 - progress) / (progress - first)
 
     def _whole_image(self, view: View) -> TrainingImage:
         return prepare_image(view, self.scene.box, 1.0, self._parts.device, crop=False)

@@ -2,8 +2,10 @@
 
 import json
 import logging
+import os
 import signal
 import sys
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -17,11 +19,12 @@ from torch import Tensor
 from sculpt_framework.config import MethodConfig
 from sculpt_framework.engine.assembly import pick_device
 from sculpt_framework.engine.checkpoint import read_checkpoint, write_checkpoint
-from sculpt_framework.engine.commands import read_recorded
+from sculpt_framework.engine.commands import Recorded, read_recorded
 from sculpt_framework.engine.events import Event
 from sculpt_framework.engine.images import prepare_image
 from sculpt_framework.engine.measuring import image_measures
 from sculpt_framework.engine.output import prepare_output
+from sculpt_framework.engine.parallel import Processes, gather, shared_commands, with_batch
 from sculpt_framework.engine.pipeline import Pipeline
 from sculpt_framework.engine.reconstruction import Reconstruction
 from sculpt_framework.engine.repair import repair_start
@@ -33,6 +36,7 @@ from sculpt_framework.export.atomic import cannot_write, remove_partial_files, w
 from sculpt_framework.export.gaussian_files import read_gaussians_ply, write_gaussians_ply
 from sculpt_framework.export.mesh_files import write_mesh_glb, write_mesh_ply
 from sculpt_framework.observers import Observer, SteeringObserver
+from sculpt_framework.plan.decision import ScenePlan, write_plan
 from sculpt_framework.serialization import config_from_json, config_to_json
 from sculpt_framework.types import Gaussians, Scene
 
@@ -60,15 +64,40 @@ def run(config: MethodConfig, *, resume: Path | None, started: float) -> None:
     saved = None if resume is None else read_checkpoint(resume / CHECKPOINTS)
     if resume is None and config.repair is not None:
         require_finished(config.repair)
+    for observer in config.observers:
+        observer.check()
     if config.threads is not None:
         torch.set_num_threads(config.threads)
-    pick_device(config.device)
-    scene = config.dataset.build(config.data).load()
+    processes = gather(os.environ, pick_device(config.device))
+    scene = processes.in_turn(lambda: config.dataset.build(config.data).load())
     if resume is None and config.repair is not None:
         saved = _start_repair(config, config.repair, scene)
+    plan = None
+    if saved is None:
+        config, plan = _plan(config, scene, processes)
+    config = with_batch(config, processes)
+    # The first process makes the folder, in which another may find what the first has written.
+    folder = Path(processes.first(lambda: str(_run_folder(config, resume, plan))))
+    observers = [observer.build(folder) for observer in config.observers] if processes.leads else []
+    try:
+        with stop_on_interrupt() as stop_requested:
+            if plan is not None:
+                told = Event(t_train=0.0, t_wall=time.monotonic() - started, outer=0, event="plan", data=plan.values())
+                for observer in observers:
+                    observer.notify(told)
+            _train(config, scene, folder, observers, saved, stop_requested, started, processes)
+    finally:
+        for observer in observers:
+            observer.close()
+
+
+def _run_folder(config: MethodConfig, resume: Path | None, plan: ScenePlan | None) -> Path:
+    """The run directory, ready to be written to."""
     if resume is None:
         folder = prepare_output(config)
         write_atomically(folder / CONFIG_NAME, config_to_json(config).encode())
+        if plan is not None:
+            write_plan(plan, folder)
     else:
         folder = resume
         remove_partial_files(folder)
@@ -76,13 +105,7 @@ def run(config: MethodConfig, *, resume: Path | None, started: float) -> None:
         (folder / CHECKPOINTS).mkdir(exist_ok=True)
     except OSError as error:
         raise cannot_write(folder / CHECKPOINTS, error) from error
-    observers = [observer.build(folder) for observer in config.observers]
-    try:
-        with stop_on_interrupt() as stop_requested:
-            _train(config, scene, folder, observers, saved, stop_requested, started)
-    finally:
-        for observer in observers:
-            observer.close()
+    return folder
 
 
 def _train(
@@ -93,6 +116,7 @@ def _train(
     saved: tuple[Mapping[str, Tensor], Progress] | None,
     stop_requested: "StopFlag",
     started: float,
+    processes: Processes,
 ) -> None:
     def emit(event: Event) -> None:
         for observer in observers:
@@ -103,20 +127,31 @@ def _train(
 
     intervals = [o.snapshot_seconds for o in observers if o.snapshot_seconds is not None]
     replay = [] if config.replay is None else read_recorded(config.replay)
-    pipeline = Pipeline(config, scene=scene, emit=emit, should_stop=lambda: steering(), save=save, started=started)
+    pipeline = Pipeline(
+        config,
+        scene=scene,
+        emit=emit,
+        should_stop=lambda: steering(),
+        save=save,
+        started=started,
+        processes=processes,
+    )
     steering = Steering(
         pipeline,
         emit=emit,
         folder=folder,
-        sources=[o.take_commands for o in observers if isinstance(o, SteeringObserver)],
+        sources=shared_commands([o.take_commands for o in observers if isinstance(o, SteeringObserver)], processes),
         replay=replay,
-        interrupted=stop_requested,
+        interrupted=lambda: processes.first(stop_requested),
         snapshot_seconds=min(intervals) if intervals else None,
     )
     # A repair starts from a state that it was told nothing on the way to.
     if saved is not None and saved[1].outer > 0:
-        steering.take_up(read_recorded(folder / EVENTS_NAME), saved[1].outer)
+        steering.take_up(_told(folder), saved[1].outer)
     result = pipeline.train(saved)
+    processes.close()
+    if not processes.leads:
+        return
     files = write_results(folder, result)
     report = folder / REPORT_NAME
     pipeline.announce_end(result, {"run_dir": str(folder), **files, "report": str(report)})
@@ -129,10 +164,28 @@ def _train(
         raise TrainingFailed(f"{pipeline.failure}; the best mesh until then is {files['mesh']}")
 
 
+def _plan(config: MethodConfig, scene: Scene, processes: Processes) -> tuple[MethodConfig, ScenePlan | None]:
+    """What to train, after a look at the scene; without that, and what it needs, where nothing is to be decided.
+
+    The first process has the plan, all have the config that follows from it.
+    """
+    if not config.plan.items:
+        return config, None
+    from sculpt_framework.plan.make import plan_scene
+
+    made: list[ScenePlan | None] = []
+
+    def decide() -> str:
+        decided, plan = plan_scene(config, scene)
+        made.append(plan)
+        return config_to_json(decided)
+
+    return config_from_json(processes.first(decide)), made[0] if made else None
+
+
 def _start_repair(config: MethodConfig, repaired: Path, scene: Scene) -> tuple[Mapping[str, Tensor], Progress]:
-    events = repaired / EVENTS_NAME
-    told = read_recorded(events) if events.is_file() else []
-    start = repair_start(config, read_config(repaired), scene, read_checkpoint(repaired / CHECKPOINTS), told)
+    saved = read_checkpoint(repaired / CHECKPOINTS)
+    start = repair_start(config, read_config(repaired), scene, saved, _told(repaired))
     if start.moved > 0:
         _log.warning(
             "this machine does not reproduce %s to the last bit: vertices outside the boxes are up to %.2g from there",
@@ -140,6 +193,12 @@ def _start_repair(config: MethodConfig, repaired: Path, scene: Scene) -> tuple[M
             start.moved,
         )
     return start.state, start.progress
+
+
+def _told(folder: Path) -> list[Recorded]:
+    """The commands that the run in ``folder`` obeyed; none where it had no recorder to note them."""
+    events = folder / EVENTS_NAME
+    return read_recorded(events) if events.is_file() else []
 
 
 def require_finished(folder: Path) -> None:
@@ -162,7 +221,7 @@ def write_results(folder: Path, result: Reconstruction) -> dict[str, str]:
 
 
 class StopFlag:
-    """Set by the first Ctrl-C; asked by the trainer before each step."""
+    """Set by the first Ctrl-C, or by SIGTERM; asked by the trainer before each step."""
 
     def __init__(self) -> None:
         self.requested = False
@@ -173,24 +232,26 @@ class StopFlag:
 
 @contextmanager
 def stop_on_interrupt() -> Iterator[StopFlag]:
-    """Ctrl-C once: stop and save. Twice: stop now."""
+    """Ctrl-C once: stop and save. Twice: stop now. SIGTERM, as schedulers and torchrun send it: stop and save."""
     flag = StopFlag()
 
     def handle(number: int, frame: FrameType | None) -> None:
-        if flag.requested:
+        if flag.requested and number == signal.SIGINT:
             raise KeyboardInterrupt
         flag.requested = True
-        _log.warning("stopping after this step and saving; press Ctrl-C again to stop at once")
+        again = "press Ctrl-C again to stop at once" if number == signal.SIGINT else "asked to by SIGTERM"
+        _log.warning("stopping after this step and saving; %s", again)
 
     try:
-        previous = signal.signal(signal.SIGINT, handle)
+        previous = [(number, signal.signal(number, handle)) for number in (signal.SIGINT, signal.SIGTERM)]
     except ValueError:  # not in the main thread: whoever runs us decides about interrupts
         yield flag
         return
     try:
         yield flag
     finally:
-        signal.signal(signal.SIGINT, previous)
+        for number, handler in previous:
+            signal.signal(number, handler)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

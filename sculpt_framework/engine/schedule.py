@@ -60,3 +60,15 @@ class Schedule:
     def rate_factor(self, progress: float) -> float:
         """Factor on learning rates: they fall exponentially to ``final_rate``."""
         return self._final_rate**progress
+
+
+class Pace:
+    """How fast a run goes since its first step, before which the start was made and colours were warmed up."""
+
+    def __init__(self) -> None:
+        self._first: tuple[float, float] | None = None
+
+    def left(self, progress: float, seconds: float) -> float | None:
+        """Training seconds to the end, given those so far; None before the second step."""
+        first, began = self._first = self._first or (progress, seconds)
+        return None if progress <= first else (seconds - began) * (1 - progress) / (progress - first)

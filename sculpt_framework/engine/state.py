@@ -45,6 +45,7 @@ def capture(trainer: BiLevelTrainer, stage: int, generator: torch.Generator) -> 
     for name, table in trainer.extractor.tables.items():
         _put(state, f"extractor.{name}", table.state())
     _put(state, "scene", trainer.scene.state())
+    _put(state, "resting", trainer.resting.state())
     return {name: tensor.detach().clone().contiguous() for name, tensor in state.items()}
 
 
@@ -67,6 +68,7 @@ def restore(trainer: BiLevelTrainer, generator: torch.Generator, state: Mapping[
     for name, table in trainer.extractor.tables.items():
         table.load_state(_get(state, f"extractor.{name}"))
     trainer.scene.load_state(_get(state, "scene"))
+    trainer.resting.load_state(_get(state, "resting"))
 
 
 def optimizer_state(optimizer: torch.optim.Optimizer) -> dict[str, Tensor]:

@@ -7,7 +7,8 @@ render it, and carry the images' gradient through Gaussians and faces into field
 """
 
 import math
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
@@ -18,9 +19,12 @@ from torch import Tensor
 from sculpt_framework.binders import Binding
 from sculpt_framework.config import StageConfig, TrainerConfig
 from sculpt_framework.constraints import Constraint
-from sculpt_framework.engine.gaussian_scene import GaussianScene, assemble
+from sculpt_framework.engine.gaussian_scene import GaussianScene, as_leaves, assemble, tensor_pairs
 from sculpt_framework.engine.images import TrainingImage
+from sculpt_framework.engine.parallel import Alone, Processes
 from sculpt_framework.engine.regions import Frozen, Region, signed_distance, untaught
+from sculpt_framework.engine.resting import Resting
+from sculpt_framework.engine.trust_region import TrustRegion
 from sculpt_framework.extractors import Extraction, Extractor
 from sculpt_framework.fields import Field
 from sculpt_framework.losses import GeometryLoss, ImageLoss
@@ -60,6 +64,10 @@ class StepReport:
     inner_loss: float | None
     faces: int
     gaussians: int
+    step_kept: float
+    """Share of the surface's step that the trust region left."""
+    inner_seconds: float
+    """What the inner loop took."""
 
 
 class BiLevelTrainer:
@@ -75,7 +83,9 @@ class BiLevelTrainer:
         objectives: Objectives,
         config: TrainerConfig,
         generator: torch.Generator,
+        processes: Processes | None = None,
     ):
+        """``processes`` share the views of each step; None: there is one."""
         self.field = field
         self.extractor = extractor
         self.scene = scene
@@ -94,12 +104,19 @@ class BiLevelTrainer:
         self.gaussian_rate = 1.0
         """Factors on the learning rates of the schedule."""
         self._field_rates = [group.rate for group in groups]
+        self.trust = TrustRegion(config.trust_cells, [p for group in groups for p in group.parameters])
         self._rasterizer = rasterizer
         self.objectives = objectives
+        self.resting = Resting(config.rest_after)
         self._config = config
         self._generator = generator
+        self.processes = processes or Alone()
         self.view_order: list[int] = []
         """Views still to come before the next shuffle."""
+
+    def equalize(self) -> None:
+        """Have all processes start from the first one's field and colours: fitting rounds as the machine likes."""
+        self.processes.equalize([*self.field.parameters(), *self.scene.appearance.parameters()])
 
     # -- the two levels ------------------------------------------------------------------------------------------
 
@@ -114,40 +131,42 @@ class BiLevelTrainer:
         if not self._config.warm_start:
             self.scene.forget()
         self.scene.follow(surface)
-        inner_loss = None
+        self.processes.require_same(surface.face_keys)
+        inner_loss, inner_began = None, time.perf_counter()
+        binding = self.scene.bind(surface, learn=not self._config.gradient_isolation)
         if self._config.gradient_isolation and not stage.silhouette_only:
             first = self._config.warm_up_steps if self.inner_total == 0 else 0
-            inner_loss = self.inner_loop(surface, images, first + stage.inner_steps, rate_factor)
+            inner_loss, kept = self.inner_loop(surface, images, first + stage.inner_steps, rate_factor, binding)
+            if not kept:
+                binding = self.scene.bind(surface, learn=False)
+        inner_seconds = time.perf_counter() - inner_began
         self._check_scene()
         views = stage.outer_views if self._config.gradient_isolation else stage.outer_views + stage.inner_steps
-        binding = self.scene.bind(surface, learn=not self._config.gradient_isolation)
         self._zero_grad()
         roots, gradients, terms = self._image_gradients(binding, images, stage, views)
-        for objective in self.objectives.geometry:
-            term = objective.weight * objective.term(extraction)
-            terms[objective.name] = float(term.detach())
-            if term.requires_grad:
+        seen = tuple(terms)
+        for name, term in self._surface_terms(extraction, binding, stage):
+            terms[name] = 0.0 if term is None else float(term.detach())
+            if term is not None and term.requires_grad:
                 roots.append(term)
                 gradients.append(torch.ones_like(term))
-        if not self._config.gradient_isolation and not stage.silhouette_only:
-            # There is no inner loop to constrain the Gaussians in.
-            for constraint in self.objectives.constraints:
-                term = constraint.weight * constraint.term(binding)
-                terms[constraint.name] = float(term.detach())
-                if term.requires_grad:
-                    roots.append(term)
-                    gradients.append(torch.ones_like(term))
+        if roots:
+            # One walk through extraction and field for all terms together: it costs as much as a render.
+            torch.autograd.backward(roots, gradients)
+        terms = self.processes.reduce(self._taught(), terms)
         self._check_terms(terms)
-        # One walk through extraction and field for all terms together: it costs as much as a render.
-        torch.autograd.backward(roots, gradients)
         self._check_gradients()
+        if not stage.silhouette_only:
+            self._note_rest({name: terms[name] for name in seen})
         taken = max((int(state["step"]) for state in self.optimizer.state.values()), default=0)
         surface_rate = rate_factor * self.surface_rate * min(1.0, (taken + 1) / self._config.ramp_steps)
         for group, rate in zip(self.optimizer.param_groups, self._field_rates, strict=True):
             group["lr"] = rate * surface_rate
+        before = self.trust.look(extraction, self.signed_distance)
         self.optimizer.step()
         for table in self.extractor.tables.values():
             table.step(surface_rate)
+        step_kept = self.trust.shorten(before, self.signed_distance, surface_rate)
         self._check_shape()
         if not self._config.gradient_isolation:
             self.scene.step(rate_factor * self.gaussian_rate)
@@ -157,37 +176,62 @@ class BiLevelTrainer:
             inner_loss=inner_loss,
             faces=surface.faces.shape[0],
             gaussians=binding.opacities.numel(),
+            step_kept=step_kept,
+            inner_seconds=inner_seconds,
         )
 
     def inner_loop(
-        self, surface: Surface, images: Sequence[TrainingImage], steps: int, rate_factor: float
-    ) -> float | None:
-        """Colours, scales and places of the Gaussians on a detached copy of the surface. Returns the mean loss."""
+        self,
+        surface: Surface,
+        images: Sequence[TrainingImage],
+        steps: int,
+        rate_factor: float,
+        binding: Binding | None = None,
+    ) -> tuple[float | None, bool]:
+        """Colours, and now and then scales and places, of the Gaussians on a detached copy of the surface.
+
+        ``binding`` is what ``scene.bind`` makes of the surface, if that is known. Returns the mean loss, None without
+        steps, and whether ``binding`` is still that: no step taught places.
+        """
         surface = surface.detach()
-        total = 0.0
-        fixed = self.scene.bind(surface, learn=False)
-        for step in range(steps):
-            learn_places = step % self._config.bind_every == 0
-            binding = self.scene.bind(surface, learn=True) if learn_places else fixed
+        bound = None if binding is None else binding.detach()
+        total, kept = 0.0, True
+        batch = self._config.inner_batch or self.processes.count
+        for step in range(0, steps, batch):
+            count = min(batch, steps - step)
+            before, after = self.inner_total, self.inner_total + count
+            every = self._config.bind_every
+            learn_places = self.scene.learns_places and after // every > before // every
+            if bound is None or learn_places:
+                bound = self.scene.bind(surface, learn=learn_places)
             self.scene.zero_grad()
-            gaussians = assemble(binding, self.scene.harmonics(binding.means, degree=self._degree(step), learn=True))
-            image = images[self._next_view(len(images))]
-            background = self._background(image)
-            loss = self.objectives.photometric(self._render(gaussians, image, background), image.over(background))
-            terms = {"photometric": float(loss.detach())}
-            total += terms["photometric"]
-            if learn_places:
-                for constraint in self.objectives.constraints:
-                    term = constraint.weight * constraint.term(binding)
-                    terms[constraint.name] = float(term.detach())
-                    loss = loss + term
+            gaussians = assemble(bound, self.scene.harmonics(bound.means, degree=self._degree(step), learn=True))
+            # Every process draws for all, so that all draw the same.
+            drawn = [self._draw(images) for _ in range(count)]
+            losses = []
+            for image, background in (drawn[number] for number in self.processes.share(count)):
+                rendering = self._render(gaussians, image, background)
+                losses.append(self.objectives.photometric(rendering, image.over(background)) / count)
+            terms = {"photometric": sum(float(loss.detach()) for loss in losses)}
+            awake = [each for each in self.objectives.constraints if learn_places and self.resting.due(each.name)]
+            for number, constraint in enumerate(awake):
+                terms[constraint.name] = 0.0
+                if number in self.processes.share(len(awake)):
+                    losses.append(constraint.weight * constraint.term(bound))
+                    terms[constraint.name] = float(losses[-1].detach())
+            teaching = [loss for loss in losses if loss.requires_grad]
+            if teaching:
+                torch.stack(teaching).sum().backward()
+            terms = self.processes.reduce(self.scene.learning, terms)
             self._check_terms(terms)
-            loss.backward()
+            for constraint in awake:
+                self.resting.saw(constraint.name, terms[constraint.name], terms["photometric"])
+            total += terms["photometric"] * count
             self.scene.step(self.gaussian_rate * (1.0 if not self._config.warm_start else rate_factor))
             if learn_places:
-                fixed = self.scene.bind(surface, learn=False)
-            self.inner_total += 1
-        return total / steps if steps else None
+                bound, kept = None, False
+            self.inner_total = after
+        return (total / steps if steps else None), kept
 
     def signed_distance(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
         return signed_distance(self.field, self.frozen, points, margin=2 * self.extractor.grid.cell)
@@ -211,12 +255,15 @@ class BiLevelTrainer:
         joint = not self._config.gradient_isolation
         sh = self.scene.harmonics(binding.means, degree=self._degree(0), learn=joint)
         connected = assemble(binding, sh)
-        gathered = _as_leaves(connected)
-        objectives = self.objectives.silhouettes if stage.silhouette_only else self.objectives.images
+        gathered = as_leaves(connected)
+        objectives = self.objectives.silhouettes if stage.silhouette_only else self._awake()
         terms = {objective.name: 0.0 for objective in objectives}
-        for _ in range(views):
-            image = images[self._next_view(len(images))]
-            background = self._background(image)
+        mine = self.processes.share(views)
+        for number in range(views):
+            # Every process draws for all, so that all draw the same.
+            image, background = self._draw(images)
+            if number not in mine:
+                continue
             rendering, target = self._render(gathered, image, background), image.over(background)
             loss = rendering.alpha.new_zeros(())
             for objective in objectives:
@@ -226,11 +273,42 @@ class BiLevelTrainer:
             if loss.requires_grad:
                 (loss / views).backward()
         roots, gradients = [], []
-        for value, leaf in _tensor_pairs(connected, gathered):
+        for value, leaf in tensor_pairs(connected, gathered):
             if leaf.grad is not None:
                 roots.append(value)
                 gradients.append(leaf.grad)
         return roots, gradients, terms
+
+    def _surface_terms(
+        self, extraction: Extraction, binding: Binding, stage: StageConfig
+    ) -> Iterator[tuple[str, Tensor | None]]:
+        """Weighted terms that look at no image, by name; None where another process has it."""
+        joint = not self._config.gradient_isolation and not stage.silhouette_only
+        # Without an inner loop there is no other place to constrain the Gaussians in.
+        constraints = self.objectives.constraints if joint else ()
+        mine = self.processes.share(len(self.objectives.geometry) + len(constraints))
+        for number, objective in enumerate(self.objectives.geometry):
+            yield objective.name, objective.weight * objective.term(extraction) if number in mine else None
+        for number, constraint in enumerate(constraints, start=len(self.objectives.geometry)):
+            yield constraint.name, constraint.weight * constraint.term(binding) if number in mine else None
+
+    def _taught(self) -> list[Tensor]:
+        """What learns in an outer step."""
+        parameters = [parameter for group in self.optimizer.param_groups for parameter in group["params"]]
+        for table in self.extractor.tables.values():
+            parameters += table.learning
+        return parameters if self._config.gradient_isolation else parameters + self.scene.learning
+
+    def _note_rest(self, terms: Mapping[str, float]) -> None:
+        """Of image terms, what they came to."""
+        for objective in self.objectives.images:
+            if objective.name in terms and objective.term is not self.objectives.photometric:
+                self.resting.saw(objective.name, terms[objective.name], sum(terms.values()))
+
+    def _awake(self) -> Sequence[Weighted[ImageLoss]]:
+        """The image terms that are evaluated in this step: what compares colours always is."""
+        always = self.objectives.photometric
+        return [each for each in self.objectives.images if each.term is always or self.resting.due(each.name)]
 
     def _render(self, gaussians: Gaussians, image: TrainingImage, background: Float[Tensor, " 3"]) -> Rendering:
         return self._rasterizer.render(
@@ -287,6 +365,11 @@ class BiLevelTrainer:
             self.view_order = torch.randperm(count, generator=self._generator).tolist()
         return self.view_order.pop()
 
+    def _draw(self, images: Sequence[TrainingImage]) -> tuple[TrainingImage, Float[Tensor, " 3"]]:
+        """The next view, and what is behind it."""
+        image = images[self._next_view(len(images))]
+        return image, self._background(image)
+
     def _background(self, image: TrainingImage) -> Float[Tensor, " 3"]:
         if self._config.random_background and image.alpha is not None:
             return torch.rand(3, generator=self._generator).to(image.premultiplied)
@@ -297,29 +380,3 @@ def _require_finite(tensor: Tensor, what: str) -> None:
     # One sum is a quarter of the cost of testing every element, and not finite if any element is not.
     if not bool(torch.isfinite(tensor.detach().sum())):
         raise FloatingPointError(f"{what} is not finite")
-
-
-def _as_leaves(gaussians: Gaussians) -> Gaussians:
-    """The same values, cut off; those that a gradient can go on from collect one."""
-
-    def leaf(value: Tensor) -> Tensor:
-        return value.detach().requires_grad_(value.requires_grad)
-
-    return Gaussians(
-        means=leaf(gaussians.means),
-        scales=leaf(gaussians.scales),
-        rotations=leaf(gaussians.rotations),
-        opacities=leaf(gaussians.opacities),
-        sh=leaf(gaussians.sh),
-        face=gaussians.face,
-    )
-
-
-def _tensor_pairs(first: Gaussians, second: Gaussians) -> list[tuple[Tensor, Tensor]]:
-    return [
-        (first.means, second.means),
-        (first.scales, second.scales),
-        (first.rotations, second.rotations),
-        (first.opacities, second.opacities),
-        (first.sh, second.sh),
-    ]

@@ -16,6 +16,7 @@ from sculpt_framework.evaluation.pictures import Picture, png_data_uri
 from sculpt_framework.evaluation.triangle_quality import triangle_quality
 from sculpt_framework.evaluation.web_page import bullets, details, fact, facts_table, grid_table, page
 from sculpt_framework.export.atomic import write_atomically
+from sculpt_framework.plan.savings import savings
 
 TIME = Axis(label="training time, s (logarithmic)", log=True)
 Facts = Mapping[str, Any]
@@ -44,7 +45,7 @@ def write_report(run_dir: Path, pictures: Mapping[str, Mapping[str, Picture]]) -
         ("Triangles", _triangles(run_dir / "mesh.ply")),
         ("Mesh certificate", facts_table(metrics.get("certificate") or {})),
         ("Input", _input(started)),
-        *([("Plan", _plan(run_dir / "plan.json"))] if (run_dir / "plan.json").exists() else []),
+        *_plan(run_dir / "plan.json", events),
         ("Decisions", bullets(_decisions(events))),
         ("Measures at the end", _measures(final)),
         (
@@ -118,12 +119,36 @@ def _input(started: Facts) -> str:
     return notes + facts_table(digests)
 
 
-def _plan(path: Path) -> str:
-    """What the run left out or chose for this scene, and how to have it otherwise."""
+def _plan(path: Path, events: Sequence[Facts]) -> list[tuple[str, str]]:
+    """What the run left out or chose for this scene, how to have it otherwise, and what that saved; empty without."""
+    if not path.exists():
+        return []
     keys = ("item", "value", "evidence", "saves", "override")
-    decisions = _read_json(path).get("decisions") or ()
-    rows = [[fact(decision[key]) if decision.get(key) is not None else "" for key in keys] for decision in decisions]
-    return grid_table(keys, rows)
+    plan = _read_json(path)
+    tables = {}
+    for part in ("decisions", "kept"):
+        chosen = plan.get(part) or ()
+        tables[part] = grid_table(keys, [[_cell(decision.get(key)) for key in keys] for decision in chosen])
+    kept = f"<details><summary>looked at and kept</summary>{tables['kept']}</details>" if tables["kept"] else ""
+    sections = [("Plan", tables["decisions"] + kept)]
+    saved = savings(plan, events)
+    if saved:
+        rows = [
+            [each.item, each.what, _cell(each.seconds, "{:.1f}"), _cell(each.megabytes, "{:.1f}")] for each in saved
+        ]
+        note = (
+            "<p>Seconds are what this run's own inner steps took, times those it left out; empty where it never did"
+            " such a thing and so has no measure of it. What it changed: <code>sculpt-ablate --plan</code>.</p>"
+        )
+        table = grid_table(("item", "left out", "seconds", "megabytes"), rows)
+        sections.append(("What this scene did not need", table + note))
+    return sections
+
+
+def _cell(value: object, style: str | None = None) -> str:
+    if value is None:
+        return ""
+    return fact(value) if style is None else style.format(value)
 
 
 def _curves(curve: Sequence[CurveRow]) -> str:

@@ -53,7 +53,8 @@ class ConsoleBoard(Board):
         self._say(f"warning: {message}")
 
     def started(self, cell: Cell, resumed: bool) -> None:
-        self._running.append(cell)
+        if cell not in self._running:  # it is where a run is tried again
+            self._running.append(cell)
         if resumed:
             self._say(f"{cell.name} goes on from its checkpoint")
         self._show()

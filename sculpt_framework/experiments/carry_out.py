@@ -8,6 +8,7 @@ from rich.console import Console
 
 from sculpt_framework.errors import ConfigError, TrainingFailed
 from sculpt_framework.experiments.board import ConsoleBoard
+from sculpt_framework.experiments.engine import Engine
 from sculpt_framework.experiments.plan import Cell, Plan
 from sculpt_framework.experiments.results import CellResult, read_results
 from sculpt_framework.experiments.runner import run_plan
@@ -27,11 +28,15 @@ def carry_out(
     jobs: int,
     retry_failed: bool,
     run: bool,
-) -> None:
+    retries: int = 0,
+    command: Sequence[str] | None = None,
+    engine: Engine | None = None,
+) -> tuple[CellResult, ...]:
     """Run what has not been run (nothing without ``run``), then write results.csv and tables.md and print the tables.
 
     ``asked`` is the command line this is done for; tables.md repeats it. Tables are written after an interrupt, too, of
-    what there is. Raises SculptError as the runner does, and TrainingFailed if every run failed.
+    what there is. ``retries``, ``command`` and ``engine`` are as in ``run_plan``. Returns the results. Raises
+    SculptError as the runner does, and TrainingFailed if every run failed.
     """
     if not run and not folder.is_dir():
         raise ConfigError(f"--show: there is no experiment in {folder}; leave --show out to run it.")
@@ -39,7 +44,16 @@ def carry_out(
     board = ConsoleBoard(console, lambda cell: _result_line(plan, folder, cell), jobs)
     try:
         if run:
-            run_plan(plan, folder, board, jobs=jobs, retry_failed=retry_failed)
+            run_plan(
+                plan,
+                folder,
+                board,
+                jobs=jobs,
+                retry_failed=retry_failed,
+                retries=retries,
+                command=command,
+                engine=engine,
+            )
     except KeyboardInterrupt:
         board.close()
         console.print("interrupted; the same command goes on", markup=False, highlight=False)
@@ -56,6 +70,7 @@ def carry_out(
     ended = [result.record for result in results if result.record is not None]
     if run and ended and all(record.failed for record in ended):
         raise TrainingFailed(f"all {len(ended)} runs failed; the first said: {ended[0].reason}")
+    return results
 
 
 def _write(

@@ -1,10 +1,8 @@
 """Carries out a plan: one process per run, as many at a time as asked, going on where an earlier call ended."""
 
 import json
-import os
 import shutil
 import signal
-import subprocess
 import sys
 import threading
 import time
@@ -17,6 +15,7 @@ from pathlib import Path
 from types import FrameType
 
 from sculpt_framework.errors import OutputError
+from sculpt_framework.experiments.engine import Engine, Job, LocalEngine, Order
 from sculpt_framework.experiments.ledger import CellState, Ledger, only_one
 from sculpt_framework.experiments.plan import Cell, Plan, remember
 
@@ -55,7 +54,7 @@ class Attempt:
     """A process at work on a cell."""
 
     cell: Cell
-    process: subprocess.Popen[bytes]
+    job: Job
     log: Path
     began: float
     """``time.monotonic()``."""
@@ -74,13 +73,19 @@ def run_plan(
     *,
     jobs: int = 1,
     retry_failed: bool = False,
+    retries: int = 0,
     command: Sequence[str] | None = None,
+    engine: Engine | None = None,
 ) -> dict[str, CellState]:
     """Run every cell that has not ended yet, by ``command`` and the cell's words; returns what became of each.
 
+    ``engine`` starts the processes, ``jobs`` at a time; None: on this machine. The caller closes the one it gives.
+
     A finished run is left as it is. One that was interrupted goes on from its checkpoint; if it is given wall seconds,
     or cannot go on, what there is of it is renamed aside and it starts again. A run that failed is a result and stays
-    so, unless ``retry_failed``. A failure stops nothing else.
+    so, unless ``retry_failed``. A failure stops nothing else. A run that was killed, or ended by a fault of ours, is
+    tried ``retries`` times again, from its checkpoint where it has one; one that was refused for a user's error is
+    not.
 
     On KeyboardInterrupt (or SIGTERM, SIGHUP) the running processes are stopped, the ledger is true, and the interrupt
     goes on to the caller. Raises ConfigError where the folder belongs to another plan or process, OutputError where it
@@ -99,10 +104,10 @@ def run_plan(
                 ledger.set(name, state)
         waiting = deque(cell for cell in plan.cells if cell.name not in settled)
         board.begin(tuple(waiting), settled)
-        command, environment = command or TRAIN, _environment(jobs)
+        command, engine = command or TRAIN, engine or LocalEngine(jobs)
         for scene in dict.fromkeys(cell.scene for cell in waiting):
-            _warm_up(plan, scene, folder, board, command, environment)
-        _work_off(waiting, folder, ledger, board, jobs, command, environment)
+            _warm_up(plan, scene, folder, board, command, engine)
+        _work_off(waiting, folder, ledger, board, jobs, retries, command, engine)
         return {cell.name: ledger.get(cell.name) for cell in plan.cells}
 
 
@@ -129,27 +134,37 @@ def _work_off(
     ledger: Ledger,
     board: Board,
     jobs: int,
+    retries: int,
     command: Sequence[str],
-    environment: Mapping[str, str],
+    engine: Engine,
 ) -> None:
     running: list[Attempt] = []
+    left = {cell.name: retries for cell in waiting}
     try:
         while waiting or running:
             while waiting and len(running) < jobs:
                 cell = waiting.popleft()
-                running.append(_start(cell, folder, ledger, command, environment))
+                running.append(_start(cell, folder, ledger, command, engine))
                 board.started(cell, running[-1].resumed)
             time.sleep(_POLL_SECONDS)
-            for attempt in [each for each in running if each.process.poll() is not None]:
+            for attempt, code in [(each, code) for each in running if (code := each.job.poll()) is not None]:
                 running.remove(attempt)
-                if _must_start_again(attempt, folder):
-                    _set_aside(run_folder(folder, attempt.cell))
-                    board.warned(f"{attempt.cell.name} could not go on from its checkpoint; it starts again")
-                    waiting.appendleft(attempt.cell)
+                cell = attempt.cell
+                if _must_start_again(attempt, code, folder):
+                    _set_aside(run_folder(folder, cell))
+                    board.warned(f"{cell.name} could not go on from its checkpoint; it starts again")
+                    waiting.appendleft(cell)
                     continue
-                state = _judge(attempt, folder, ledger.get(attempt.cell.name))
-                ledger.set(attempt.cell.name, state)
-                board.ended(attempt.cell, state)
+                state = _judge(attempt, code, folder, ledger.get(cell.name))
+                if state.status == "failed" and code != _USER_ERROR and left[cell.name] > 0:
+                    left[cell.name] -= 1
+                    board.warned(f"{cell.name} failed: {state.error}; it is tried again, {left[cell.name]} tries left")
+                    # At the end of the line: what made it fail may have passed by then.
+                    ledger.set(cell.name, replace(state, status="pending"))
+                    waiting.append(cell)
+                    continue
+                ledger.set(cell.name, state)
+                board.ended(cell, state)
     finally:
         # Whatever ends this loop: no run goes on without a runner that would note its end.
         _stop(running)
@@ -158,7 +173,7 @@ def _work_off(
             ledger.set(attempt.cell.name, state)
 
 
-def _start(cell: Cell, folder: Path, ledger: Ledger, command: Sequence[str], environment: Mapping[str, str]) -> Attempt:
+def _start(cell: Cell, folder: Path, ledger: Ledger, command: Sequence[str], engine: Engine) -> Attempt:
     run_dir = run_folder(folder, cell)
     resumed = False
     if run_dir.exists():
@@ -171,31 +186,11 @@ def _start(cell: Cell, folder: Path, ledger: Ledger, command: Sequence[str], env
     ledger.set(cell.name, CellState(status="running", attempts=state.attempts + 1))
     log = run_dir.with_name(f"{run_dir.name}.log")
     began = time.monotonic()
-    return Attempt(
-        cell=cell, process=_process((*command, *words), log, environment), log=log, began=began, resumed=resumed
-    )
+    job = engine.start(Order(name=cell.name, command=(*command, *words), log=log))
+    return Attempt(cell=cell, job=job, log=log, began=began, resumed=resumed)
 
 
-def _process(command: Sequence[str], log: Path, environment: Mapping[str, str]) -> subprocess.Popen[bytes]:
-    """A process that writes into ``log``. A group of its own: a terminal's Ctrl-C reaches only us, and we decide."""
-    try:
-        log.parent.mkdir(parents=True, exist_ok=True)
-        with open(log, "wb") as output:
-            return subprocess.Popen(
-                command,
-                stdin=subprocess.DEVNULL,
-                stdout=output,
-                stderr=subprocess.STDOUT,
-                env=dict(environment),
-                process_group=0,
-            )
-    except OSError as error:
-        raise OutputError(f"cannot start a run with its log at {log}: {error.strerror}.") from error
-
-
-def _warm_up(
-    plan: Plan, scene: str, folder: Path, board: Board, command: Sequence[str], environment: Mapping[str, str]
-) -> None:
+def _warm_up(plan: Plan, scene: str, folder: Path, board: Board, command: Sequence[str], engine: Engine) -> None:
     """Run the scene's warm-up and throw it away. Its failure is told and left to the runs to fail on."""
     words = plan.warm_ups.get(scene)
     if words is None:
@@ -204,12 +199,14 @@ def _warm_up(
     place = folder / "warm-up"
     shutil.rmtree(place, ignore_errors=True)
     log = folder / "warm-up.log"
-    process = _process((*command, *words, "--output", str(place)), log, environment)
+    order = Order(name=f"warm-up {scene}", command=(*command, *words, "--output", str(place)), log=log)
+    job = engine.start(order)
     try:
-        code = process.wait()
+        while (code := job.poll()) is None:
+            time.sleep(_POLL_SECONDS)
     except BaseException:
-        process.kill()
-        process.wait()
+        job.kill()
+        _wait([job], _GRACE_SECONDS)
         raise
     finally:
         shutil.rmtree(place, ignore_errors=True)
@@ -219,15 +216,15 @@ def _warm_up(
         log.unlink(missing_ok=True)
 
 
-def _must_start_again(attempt: Attempt, folder: Path) -> bool:
+def _must_start_again(attempt: Attempt, code: int, folder: Path) -> bool:
     """A run that was refused when it should go on: its checkpoint is damaged or of another version."""
     ended = ended_as(run_folder(folder, attempt.cell))
-    return attempt.resumed and attempt.process.returncode == _USER_ERROR and ended != "finished"
+    return attempt.resumed and code == _USER_ERROR and ended != "finished"
 
 
-def _judge(attempt: Attempt, folder: Path, before: CellState) -> CellState:
+def _judge(attempt: Attempt, code: int, folder: Path, before: CellState) -> CellState:
     """The state of a cell whose process has ended."""
-    code, ended = attempt.process.returncode, ended_as(run_folder(folder, attempt.cell))
+    ended = ended_as(run_folder(folder, attempt.cell))
     after = replace(before, seconds=_age(attempt), exit_code=code)
     if ended == "finished" and code == 0:
         return replace(after, status="finished", error=None)
@@ -262,17 +259,30 @@ def _set_aside(run_dir: Path) -> None:
 
 def _stop(running: Sequence[Attempt]) -> None:
     """End all processes; those that can go on later may save first. A second Ctrl-C ends them at once."""
+    jobs = [attempt.job for attempt in running]
     for attempt in running:
-        attempt.process.send_signal(signal.SIGKILL if attempt.cell.timed else signal.SIGINT)
-    deadline = time.monotonic() + _GRACE_SECONDS
+        if attempt.cell.timed:
+            attempt.job.kill()
+        else:
+            attempt.job.interrupt()
     try:
-        for attempt in running:
-            attempt.process.wait(max(0.0, deadline - time.monotonic()))
-    except (subprocess.TimeoutExpired, KeyboardInterrupt):
-        for attempt in running:
-            attempt.process.kill()
-        for attempt in running:
-            attempt.process.wait()
+        ended = _wait(jobs, _GRACE_SECONDS)
+    except KeyboardInterrupt:
+        ended = False
+    if not ended:
+        for job in jobs:
+            job.kill()
+        _wait(jobs, _GRACE_SECONDS)
+
+
+def _wait(jobs: Sequence[Job], seconds: float) -> bool:
+    """Whether all of them end within so many seconds."""
+    deadline = time.monotonic() + seconds
+    while any(job.poll() is None for job in jobs):
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(_POLL_SECONDS)
+    return True
 
 
 def _age(attempt: Attempt) -> float:
@@ -284,15 +294,6 @@ def _signal_name(number: int) -> str:
         return signal.Signals(number).name
     except ValueError:
         return f"signal {number}"
-
-
-def _environment(jobs: int) -> dict[str, str]:
-    """This process's environment; several jobs share the cores between them unless the user has decided otherwise."""
-    environment = dict(os.environ)
-    if jobs > 1:
-        cores = len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
-        environment.setdefault("OMP_NUM_THREADS", str(max(1, cores // jobs)))
-    return environment
 
 
 @contextmanager

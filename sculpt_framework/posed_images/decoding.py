@@ -13,6 +13,13 @@ from sculpt_framework.errors import DataError
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 JPEG_START, JPEG_END = b"\xff\xd8\xff", b"\xff\xd9"
+_REDUCED = (
+    (8, cv2.IMREAD_REDUCED_COLOR_8),
+    (4, cv2.IMREAD_REDUCED_COLOR_4),
+    (2, cv2.IMREAD_REDUCED_COLOR_2),
+)
+"""By how much JPEGs can be reduced as they are decoded."""
+_LEFT = 1.5
 _JPEG_TRAILER = 4096  # Cameras append private bytes behind the end marker; more than this is not an image's tail.
 
 
@@ -92,21 +99,17 @@ def shrink(
 def _decode(data: bytes, divide: int) -> tuple[np.ndarray | None, tuple[int, int]]:
     """Stored pixels, None if they cannot be decoded, and the stored width and height.
 
-    A JPEG whose sides its decoder can halve exactly is decoded small, which is several times faster and needs memory
-    for the small image alone.
+    A JPEG is decoded small where that halves its sides exactly, which is several times faster and needs memory for the
+    small image alone. What is left to reduce then is at least ``_LEFT``: means over areas come out as they should.
     """
     buffer = np.frombuffer(data, np.uint8)
     try:
-        step = next(step for step in (8, 4, 2, 1) if divide % step == 0)
-        flags = {
-            8: cv2.IMREAD_REDUCED_COLOR_8,
-            4: cv2.IMREAD_REDUCED_COLOR_4,
-            2: cv2.IMREAD_REDUCED_COLOR_2,
-        }
-        if step > 1:
-            size = jpeg_size(data)
-            if size is not None and size[0] % step == 0 and size[1] % step == 0:
-                return cv2.imdecode(buffer, flags[step] | cv2.IMREAD_IGNORE_ORIENTATION), size
+        size = jpeg_size(data) if divide > 1 else None
+        for step, flag in _REDUCED:
+            if size is None or size[0] % step or size[1] % step:
+                continue
+            if step == divide or step * _LEFT <= divide:
+                return cv2.imdecode(buffer, flag | cv2.IMREAD_IGNORE_ORIENTATION), size
         pixels = cv2.imdecode(buffer, cv2.IMREAD_UNCHANGED)
     except cv2.error:
         return None, (0, 0)

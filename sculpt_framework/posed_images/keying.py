@@ -64,7 +64,7 @@ def key_out(image: Image, background: Background) -> tuple[Image, Float[np.ndarr
     nearest colour inside; without that the outline would lie half a pixel too far outside.
     """
     behind = background.color.astype(image.dtype)
-    empty = _connected(np.abs(image - behind).max(axis=2) <= background.tolerance)
+    empty = _connected(_largest(np.abs(image - behind)) <= background.tolerance)
     solid = cv2.erode((~empty).astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=1)
     rim = ~empty & (solid == 0)
     alpha = (~empty).astype(image.dtype)
@@ -78,6 +78,11 @@ def key_out(image: Image, background: Background) -> tuple[Image, Float[np.ndarr
     rgb = image.copy()
     rgb[rim] = inner
     return rgb, alpha
+
+
+def _largest(image: Image) -> Float[np.ndarray, "h w"]:
+    """Of the channels; many times as fast as a reduction along so short an axis."""
+    return np.maximum(np.maximum(image[..., 0], image[..., 1]), image[..., 2])
 
 
 def _connected(similar: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:

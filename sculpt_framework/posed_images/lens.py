@@ -5,12 +5,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from jaxtyping import Float
+from torch import Tensor
+
 from sculpt_framework.errors import DataError
 from sculpt_framework.posed_images.reading import nearest_key, number
+from sculpt_framework.types import Camera
 
 LENS_KEYS = ("camera_angle_x", "camera_angle_y", "fl_x", "fl_y", "cx", "cy", "w", "h")
 DISTORTION_KEYS = ("k1", "k2", "k3", "k4", "p1", "p2")
 _ASPECT_TOLERANCE = 0.01
+_FOCAL = (1e-3, 1e9)
+"""Pixels; beyond, no camera is meant, and places of pixels overflow."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,6 +27,18 @@ class Pinhole:
     fy: float
     cx: float
     cy: float
+
+    def camera(self, world_to_camera: Float[Tensor, "4 4"], width: int, height: int) -> Camera:
+        """With this pinhole, at a pose (OpenCV axes), for images of this size."""
+        return Camera(
+            world_to_camera=world_to_camera,
+            fx=self.fx,
+            fy=self.fy,
+            cx=self.cx,
+            cy=self.cy,
+            width=width,
+            height=height,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +59,7 @@ class Lens:
     def at_size(self, width: int, height: int, image: Path) -> Pinhole:
         """In pixels of an image of this size, which may be a resized one.
 
-        Raises DataError if the file speaks of an image of another shape.
+        Raises DataError if the file speaks of an image of another shape, or of a focal length out of all proportion.
         """
         sx, sy = width / (self.width or width), height / (self.height or height)
         if abs(sx / sy - 1) > _ASPECT_TOLERANCE:
@@ -63,6 +81,11 @@ class Lens:
             fy = 0.5 * height / math.tan(0.5 * self.angle_y)
         else:
             fy = fx
+        if not all(_FOCAL[0] <= focal <= _FOCAL[1] for focal in (fx, fy)):
+            raise DataError(
+                f"{image}: the focal length comes to {fx:g} x {fy:g} pixels; expected {_FOCAL[0]:g} to {_FOCAL[1]:g}. "
+                "Check camera_angle_x or fl_x in the transforms."
+            )
         cx = 0.5 * width if self.center_x is None else self.center_x * sx
         cy = 0.5 * height if self.center_y is None else self.center_y * sy
         return Pinhole(fx=fx, fy=fy, cx=cx, cy=cy)

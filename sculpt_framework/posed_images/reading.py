@@ -9,14 +9,19 @@ from pathlib import Path
 from sculpt_framework.errors import DataError
 
 
-def read_json(path: Path) -> dict[str, object]:
-    """The object in a JSON file. Raises DataError if the file is unreadable, cut, or holds something else."""
+def read_text(path: Path, expected: str) -> str:
+    """A text file in UTF-8. Raises DataError, with what was ``expected``, where it cannot be read or is no text."""
     try:
-        text = path.read_bytes().decode("utf-8-sig")
+        return path.read_bytes().decode("utf-8-sig")
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({error.strerror}).") from None
     except UnicodeDecodeError:
-        raise DataError(f"{path}: not text; expected JSON in UTF-8.") from None
+        raise DataError(f"{path}: not text; expected {expected}.") from None
+
+
+def read_json(path: Path) -> dict[str, object]:
+    """The object in a JSON file. Raises DataError if the file is unreadable, cut, or holds something else."""
+    text = read_text(path, "JSON in UTF-8")
     if not text.strip():
         raise DataError(f"{path}: the file is empty; expected JSON with camera_angle_x and frames.")
     try:

@@ -103,15 +103,7 @@ def _camera(frame: Frame, width: int, height: int) -> Camera:
     world_to_camera = np.eye(4)
     world_to_camera[:3, :3] = rotation.T
     world_to_camera[:3, 3] = -rotation.T @ position
-    return Camera(
-        world_to_camera=torch.from_numpy(world_to_camera),
-        fx=pinhole.fx,
-        fy=pinhole.fy,
-        cx=pinhole.cx,
-        cy=pinhole.cy,
-        width=width,
-        height=height,
-    )
+    return pinhole.camera(torch.from_numpy(world_to_camera), width, height)
 
 
 def _frame(

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -11,6 +12,7 @@ import numpy as np
 import torch
 
 from sculpt_framework.errors import DataError
+from sculpt_framework.memory import available_bytes, in_words
 from sculpt_framework.posed_images.decoding import DecodedImage, read_image
 from sculpt_framework.posed_images.distortion import Distortion, rectify, resample
 from sculpt_framework.posed_images.headers import ImageHeader, read_headers
@@ -59,11 +61,13 @@ def load_views(
     smallest whole number with which all of them take at most ``IMAGE_BYTES``. No more images than there are threads
     are ever in memory at their full size.
 
-    Raises DataError for a damaged image, for images that do not fit their camera, and if all images are transparent.
+    Raises DataError for a damaged image, for images that do not fit their camera or do not fit into memory, and if all
+    images are transparent.
     """
     posed = [*train, *test]
     headers = read_headers([item.path for item in posed])
     divide = downscale or _dividing(headers)
+    _require_memory(headers, divide)
     turns = [_orientation(item, header) for item, header in zip(posed, headers, strict=True)]
     images, cameras = _read_all(posed, turns, divide)
     notes = _describe(images) + _describe_reading(posed, turns, divide, chosen=downscale == 0)
@@ -91,6 +95,18 @@ def load_views(
 def _dividing(headers: Sequence[ImageHeader | None]) -> int:
     pixels = sum(header.width * header.height for header in headers if header is not None)
     return max(1, math.ceil(math.sqrt(pixels * _BYTES_PER_PIXEL / IMAGE_BYTES)))
+
+
+def _require_memory(headers: Sequence[ImageHeader | None], divide: int) -> None:
+    """Before anything is decoded: what does not fit would be swapped, or this process killed without a word."""
+    pixels = sum(header.width * header.height for header in headers if header is not None)
+    needed, left = pixels * _BYTES_PER_PIXEL / divide**2, available_bytes()
+    if left is not None and needed > left:
+        least = math.ceil(math.sqrt(pixels * _BYTES_PER_PIXEL / max(1, left / 2)))
+        raise DataError(
+            f"{len(headers)} images take {in_words(needed)} of memory as they are read and {in_words(left)} are left: "
+            f"read them smaller, with --dataset.downscale {least} or more (now {divide}), or give fewer."
+        )
 
 
 def _orientation(item: PosedImage, header: ImageHeader | None) -> int:
@@ -132,13 +148,7 @@ def _read(item: PosedImage, orientation: int, divide: int) -> tuple[DecodedImage
     rgb, alpha = resample(image.rgb, straight), image.alpha
     if alpha is not None:
         alpha = resample(alpha, straight)
-    fields = {
-        "fx": straight.pinhole.fx,
-        "fy": straight.pinhole.fy,
-        "cx": straight.pinhole.cx,
-        "cy": straight.pinhole.cy,
-    }
-    camera = replace(camera, **fields, width=straight.width, height=straight.height)
+    camera = straight.pinhole.camera(camera.world_to_camera, straight.width, straight.height)
     return replace(image, rgb=rgb, alpha=alpha), camera
 
 
@@ -196,12 +206,16 @@ def _key(images: list[DecodedImage], split: int, background: BackgroundOption) -
     else:
         behind = given_background(_COLORS[background], colors, lossless)
         found = "background as given"
-    keyed = [_with_alpha(image, behind) if image.alpha is None else image for image in images]
+    with ThreadPoolExecutor(max_workers=torch.get_num_threads()) as pool:
+        keyed = list(pool.map(partial(_with_alpha, background=behind), images))
     r, g, b = behind.color
     return keyed, f"{some}: {found}, sRGB ({r:.2f}, {g:.2f}, {b:.2f}), is keyed out to make one."
 
 
 def _with_alpha(image: DecodedImage, background: Background) -> DecodedImage:
+    """An image that has an alpha stays as it is."""
+    if image.alpha is not None:
+        return image
     rgb, alpha = key_out(image.rgb, background)
     return replace(image, rgb=rgb, alpha=alpha)
 

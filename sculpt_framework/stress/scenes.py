@@ -97,6 +97,7 @@ def _poses() -> Iterator[Extreme]:
         ("poses-inconsistent", "all cameras turned by about 0.3 degrees at random", 0.3, tuple(range(VIEWS))),
     ):
         yield _spoilt(name, done, partial(_turned_view, degrees, which), _LOST if len(which) == 1 else 15.0)
+    yield _spoilt("camera-inside", "one of 12 cameras stands in the middle of the object", _from_inside, _LOST)
     yield _spoilt("focal-inconsistent", "focal lengths off by 1 % in turn", _other_focal, 10.0)
 
 
@@ -152,6 +153,14 @@ def _turned_view(degrees: float, which: tuple[int, ...], index: int, view: View)
     pose = view.camera.world_to_camera.clone()
     pose[:3, :3] = pose[:3, :3] @ torch.matrix_exp(cross)
     return replace(view, camera=replace(view.camera, world_to_camera=pose))
+
+
+def _from_inside(index: int, view: View) -> View:
+    if index != 3:
+        return view
+    assert view.alpha is not None  # noqa: S101 - demo views have masks
+    camera = replace(view.camera, world_to_camera=torch.eye(4, dtype=view.camera.world_to_camera.dtype))
+    return replace(view, camera=camera, rgb=torch.full_like(view.rgb, 0.4), alpha=torch.ones_like(view.alpha))
 
 
 def _other_focal(index: int, view: View) -> View:

@@ -17,6 +17,9 @@ from sculpt_framework.types import Scene
 OBJECT = "blob"
 WEIGHTS = tuple(10.0**power for power in range(-3, 5))
 RATES = (0.01, 0.1, 0.3, 1.0, 3.0, 10.0, 100.0)
+FAR_RATES = (*RATES, 1e3, 1e4)
+BOUND = 0.1
+"""Cells by which a step may move the surface, of the curves on which steps are bounded."""
 CLOSE = 1.1
 """Errors up to this multiple of the best on the curve are as good."""
 _DECADES = 3.0
@@ -66,16 +69,14 @@ def stiff_cases() -> Iterator[Case]:
                 limit=_RUINED,
                 measure=partial(_point, bench, curve, factor),
             )
-        weight = curve.name.startswith("weight")
+        expected, limit = _expected_range(curve)
         yield Case(
             id=f"stiff-{curve.name}-range",
             group="stiff",
             done=f"{curve.done}: width of the range with an error within 10 % of the best",
-            expected="three decades"
-            if weight
-            else "a factor of two; in so few steps the rate decides how far it comes",
+            expected=expected,
             unit="decades",
-            limit=_DECADES if weight else 0.3,
+            limit=limit,
             measure=partial(_range, bench, curve),
             at_least=True,
         )
@@ -89,6 +90,15 @@ def stiff_cases() -> Iterator[Case]:
             limit=_RUINED,
             measure=partial(_run, bench, config),
         )
+
+
+def _expected_range(curve: Curve) -> tuple[str, float]:
+    """In words, and in decades."""
+    if curve.name.startswith("weight"):
+        return "three decades", _DECADES
+    if curve.change is _bounded_field_rate:
+        return "two decades: the bound decides how far a step goes, not the rate", 2.0
+    return "a factor of two; in so few steps the rate decides how far it comes", 0.3
 
 
 def curves() -> list[Curve]:
@@ -107,6 +117,8 @@ def curves() -> list[Curve]:
     wide = f"weight of {_SCALE} (1), Gaussians starting at three times their width,"
     found.insert(0, Curve(name=f"weight-{_SCALE}", done=wide, factors=WEIGHTS, change=_wide))
     found.append(Curve(name="rate-field", done="learning rate of the field", factors=RATES, change=_field_rate))
+    bounded = f"learning rate of the field, its steps bounded to {BOUND:g} cells,"
+    found.append(Curve(name="rate-field-bounded", done=bounded, factors=FAR_RATES, change=_bounded_field_rate))
     found.append(
         Curve(name="rate-gaussians", done="learning rates of Gaussians and colours", factors=RATES, change=_inner_rates)
     )
@@ -135,6 +147,16 @@ def settings() -> Iterator[tuple[str, str, MethodConfig]]:
         "opacities are learned at 100 times the rate",
         replace(base, binder=replace(learnable, opacity_rate=5.0)),
     )
+    for slot, name, factor in (
+        ("losses", "deviation", 100.0),
+        ("losses", "sign-change", 100.0),
+        ("losses", "eikonal", 1000.0),
+    ):
+        yield (
+            f"outvoting-{name}-bounded",
+            f"weight of {name} times {factor:g}, steps bounded to {BOUND:g} cells",
+            _bounded(_weighted(slot, name, base, factor)),
+        )
     cold = replace(base, trainer=replace(base.trainer, warm_start=False))
     yield "cold-start", "Gaussians start anew at every outer step", cold
 
@@ -159,6 +181,14 @@ def _scaled(config: object, factor: float, names: Sequence[str]) -> object:
 
 def _field_rate(config: MethodConfig, factor: float) -> MethodConfig:
     return replace(config, field=_scaled(config.field, factor, ("learning_rate",)))  # pyright: ignore
+
+
+def _bounded_field_rate(config: MethodConfig, factor: float) -> MethodConfig:
+    return _bounded(_field_rate(config, factor))
+
+
+def _bounded(config: MethodConfig) -> MethodConfig:
+    return replace(config, trainer=replace(config.trainer, trust_cells=BOUND))
 
 
 def _inner_rates(config: MethodConfig, factor: float) -> MethodConfig:
@@ -187,8 +217,9 @@ def _run(bench: Bench, config: MethodConfig) -> Measured:
 
 
 def _point(bench: Bench, curve: Curve, factor: float) -> Measured:
-    # At factor 1 all curves meet but that of the wide start.
-    key = (curve.name, factor) if factor != 1.0 or curve.change is _wide else ("", 1.0)
+    # At factor 1 all curves meet but those of another method.
+    own = curve.change in (_wide, _bounded_field_rate)
+    key = (curve.name, factor) if factor != 1.0 or own else ("", 1.0)
     if key not in bench.errors:
         bench.errors[key] = _run(bench, curve.change(standard(), factor))
     found = bench.errors[key]

@@ -7,7 +7,7 @@ RUN_DIR/evolution/step-N.npz      the surface alone after N outer steps, at time
 import io
 import re
 import zipfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -112,18 +112,26 @@ def read_frame(path: Path) -> Frame:
 
 def frame_of(snapshot: Snapshot, *, outer: int, t_train: float) -> Frame:
     """A frame straight from a snapshot."""
-    result = in_world(snapshot.surface, snapshot.gaussians, snapshot.box)
-    keys = _kept_keys(result.faces, snapshot.surface)
-    return Frame(
+    plain, gaussians = _plain_frame(snapshot.surface, snapshot.gaussians, snapshot.box, outer, t_train)
+    return replace(plain, gaussians=gaussians, cells=_cells(snapshot.cells.cpu(), snapshot.grid, snapshot.box))
+
+
+def _plain_frame(
+    surface: Surface, gaussians: Gaussians, box: Box, outer: int, t_train: float
+) -> tuple[Frame, Gaussians]:
+    """The surface as it is shown, coloured by its Gaussians, and the Gaussians in world frame."""
+    result = in_world(surface, gaussians, box)
+    # Where stray pieces of the surface were left out, rows no longer agree with its keys.
+    whole = len(result.faces) == len(surface.faces)
+    frame = Frame(
         outer=outer,
         t_train=t_train,
         vertices=result.vertices.astype(np.float32),
         faces=result.faces,
         colors=result.colors,
-        face_keys=keys,
-        gaussians=result.gaussians,
-        cells=_cells(snapshot.cells.cpu(), snapshot.grid, snapshot.box),
+        face_keys=surface.face_keys.cpu().numpy() if whole else None,
     )
+    return frame, result.gaussians
 
 
 def _frame(arrays: dict[str, np.ndarray], outer: int, t_train: float) -> Frame:
@@ -149,15 +157,7 @@ def _frame(arrays: dict[str, np.ndarray], outer: int, t_train: float) -> Frame:
             sh=flat[:, None],
             face=face,
         )
-        result = in_world(surface, gaussians, box)
-        return Frame(
-            outer=outer,
-            t_train=t_train,
-            vertices=result.vertices.astype(np.float32),
-            faces=result.faces,
-            colors=result.colors,
-            face_keys=_kept_keys(result.faces, surface),
-        )
+        return _plain_frame(surface, gaussians, box, outer, t_train)[0]
     grid = arrays["grid"]
     x, y, z = grid[3:6].astype(int).tolist()
     snapshot = Snapshot(
@@ -177,11 +177,6 @@ def _frame(arrays: dict[str, np.ndarray], outer: int, t_train: float) -> Frame:
         cells=tensor("cells", torch.int64),
     )
     return frame_of(snapshot, outer=outer, t_train=t_train)
-
-
-def _kept_keys(faces: Int64[np.ndarray, "f 3"], surface: Surface) -> Int64[np.ndarray, " f"] | None:
-    """Keys of a mesh's faces; None where stray pieces of the surface were left out and rows no longer agree."""
-    return surface.face_keys.cpu().numpy() if len(faces) == len(surface.faces) else None
 
 
 def _cells(keys: Int64[Tensor, " c"], grid: Grid, box: Box) -> Cells:

@@ -52,6 +52,8 @@ class Overview:
                 self._losses.append((seconds, data["loss"]))
             elif name == "evaluation":
                 self._evaluations.append((seconds, data))
+            elif name == "plan":
+                self._decisions += [_planned(row) for row in data["decisions"]]
             if name in _TOLD:
                 self._decisions.append(f"- {seconds:.1f} s, {name}: {_sentence(data)}")
         if events:
@@ -66,6 +68,8 @@ class Overview:
         lines = [f"**{started.get('scene', run.folder.name)}** by *{started.get('method', run.config.method)}*"]
         if self._paused and status in ("running", "silent"):
             lines.append("**Paused.**")
+        elif status == "silent" and not run.has_events:
+            lines.append("It recorded no events: nothing is known of its steps.")
         elif status == "silent":
             lines.append(f"**No news for {run.silent_seconds:.0f} s: killed, or in a very long step.**")
         elif status == "running":
@@ -114,6 +118,11 @@ class Overview:
                 scales={"x": {"time": False}},
                 aspect=1.6,
             )
+
+
+def _planned(row: Mapping[str, Any]) -> str:
+    """A row of the data of the event "plan"."""
+    return f"- plan, {row['item']}: {row['value']}; {row['evidence']} (`{row['override']}` takes it back)"
 
 
 def _sentence(data: Mapping[str, Any]) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 
 from sculpt_framework.config import MethodConfig
 from sculpt_framework.engine.run import EVENTS_NAME, MESH_NAME, read_config, run_status
-from sculpt_framework.errors import CheckpointError
+from sculpt_framework.errors import SculptError
 from sculpt_framework.export.gaussian_files import read_gaussians_ply
 from sculpt_framework.export.mesh_files import read_colored_mesh
 from sculpt_framework.types import Scene
@@ -60,6 +60,11 @@ class RunFolder:
         return events
 
     @property
+    def has_events(self) -> bool:
+        """Whether the run's recorder has written anything; a run can do without."""
+        return (self.folder / EVENTS_NAME).exists()
+
+    @property
     def silent_seconds(self) -> float:
         """Since the run last wrote an event."""
         try:
@@ -86,25 +91,30 @@ class RunFolder:
         for path in (self.folder / MESH_NAME, self.folder / FOLDER / LIVE):
             if path.exists():
                 return path.name, path.stat().st_mtime_ns
-        steps = step_files(self.folder)
-        return (steps[-1][1].name, 0) if steps else ("", 0)
+        # Of a run that goes on something newer will come; of one that was killed an older file is all there is.
+        return ("", 0) if self.status == "running" else ("checkpoint", len(step_files(self.folder)))
 
     def newest(self) -> Frame | None:
-        """The result if there is one, else the latest snapshot, else what the checkpoint holds; None if nothing is
-        there yet. Raises CheckpointError or DataError if it cannot be read."""
+        """The result if there is one, else the latest snapshot, else, of a run that does not go on, what the checkpoint
+        holds or the last recorded step; None if nothing is there yet.
+
+        Raises CheckpointError or DataError if it cannot be read.
+        """
         if (self.folder / MESH_NAME).exists():
             return self._result()
         if (self.folder / FOLDER / LIVE).exists():
             return read_frame(self.folder / FOLDER / LIVE)
-        if self.status != "running":
-            from sculpt_framework.viewing.checkpointed import frame_of_checkpoint
+        if self.status == "running":
+            return None
+        from sculpt_framework.viewing.checkpointed import frame_of_checkpoint
 
-            try:
-                return frame_of_checkpoint(self.folder, self.config)
-            except CheckpointError:
-                steps = step_files(self.folder)
-                return read_frame(steps[-1][1]) if steps else None
-        return None
+        try:
+            return frame_of_checkpoint(self.folder, self.config)
+        except SculptError:
+            steps = step_files(self.folder)
+            if not steps:
+                raise
+            return read_frame(steps[-1][1])
 
     def _result(self) -> Frame:
         vertices, faces, colors = read_colored_mesh(self.folder / MESH_NAME)

@@ -18,7 +18,8 @@ from sculpt_framework.viewing.layers import show_box, show_cells, show_mesh, sho
 from sculpt_framework.viewing.run_folder import RunFolder
 
 _log = logging.getLogger("sculpt")
-_SPLATS_AT_MOST = {"100 thousand": 100_000, "300 thousand": 300_000, "1 million": 1_000_000, "all": 1 << 60}
+SPLATS_AT_MOST = {"100 thousand": 100_000, "300 thousand": 300_000, "1 million": 1_000_000, "all": 1 << 60}
+USUAL_SPLATS = "300 thousand"
 
 
 class Stage:
@@ -39,8 +40,8 @@ class Stage:
             self._splats_on = gui.add_checkbox("Gaussians", initial_value=False)
             self._most = gui.add_dropdown(
                 "At most",
-                tuple(_SPLATS_AT_MOST),
-                initial_value="300 thousand",
+                tuple(SPLATS_AT_MOST),
+                initial_value=USUAL_SPLATS,
                 hint="Of more Gaussians a part is shown.",
             )
             self._cells_on = gui.add_checkbox("Grid cells", initial_value=False)
@@ -119,8 +120,9 @@ class Stage:
             self._follows = True
             stamp = self._run.live_stamp
             if stamp != self._stamp:
-                self._newest = self._run.newest()
+                # Noted first: what cannot be read now is not tried again until it is another.
                 self._stamp = stamp
+                self._newest = self._run.newest()
         except SculptError as error:
             self._step_text.content = f"**{error}**"
         return self._newest
@@ -142,7 +144,7 @@ class Stage:
             return
         first = self._shown is None
         on = {name: bool(switch.value) for name, switch in self.switches.items()}
-        mode, most = self._paint.value, _SPLATS_AT_MOST[self._most.value]
+        mode, most = self._paint.value, SPLATS_AT_MOST[self._most.value]
         api = self._server.scene
         cameras = [] if self.scene is None else [view.camera for view in self.scene.train]
         with self._server.atomic():

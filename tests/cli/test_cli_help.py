@@ -47,7 +47,7 @@ def test_a_method_that_cannot_be_imported_is_listed_as_such(install):
 
 @pytest.mark.usefixtures("fake")
 def test_overview_lists_methods_with_the_first_line_of_their_docstrings():
-    assert "  fake                      A method that cannot train.\n" in overview()
+    assert "  fake                           A method that cannot train.\n" in overview()
 
 
 @pytest.mark.parametrize("method", registry.method_names())

@@ -13,15 +13,15 @@ MISTAKES = {
     "fake": "--data is missing: give a folder, as in --data DIR, or --data demo.",
     "fkae --data x": (
         "there is no method 'fkae'. Did you mean 'fake'? Available: gaussian-sculpting, "
-        "gaussian-sculpting-paper, gaussian-sculpting-tiny, fake."
+        "gaussian-sculpting-everything, gaussian-sculpting-paper, gaussian-sculpting-tiny, fake."
     ),
     "--data x fake": (
         "sculpt-train starts with a method, not with --data. Methods: gaussian-sculpting, "
-        "gaussian-sculpting-paper, gaussian-sculpting-tiny, fake."
+        "gaussian-sculpting-everything, gaussian-sculpting-paper, gaussian-sculpting-tiny, fake."
     ),
     "": (
         "sculpt-train starts with a method, as in sculpt-train gaussian-sculpting --data demo. Methods: "
-        "gaussian-sculpting, gaussian-sculpting-paper, gaussian-sculpting-tiny, fake."
+        "gaussian-sculpting, gaussian-sculpting-everything, gaussian-sculpting-paper, gaussian-sculpting-tiny, fake."
     ),
     "fake --data x --field fncy": (
         f"--field fncy: there is no field 'fncy'. Did you mean 'fancy'? Available: {BUILT_IN}."

@@ -118,3 +118,39 @@ def test_starts_satisfy_what_their_number_allows():
     coverage = {k: float(CoverageConfig().build()(with_barycentrics(placement(k)[None]))) for k in (3, 4, 6, 9, 12)}
     assert coverage[12] <= coverage[3]
     assert all(value < 0.35 for value in coverage.values())
+
+
+@pytest.mark.parametrize("reference", ["steiner", "edges"])
+@pytest.mark.parametrize("limit", [1.0, 0.05])
+def test_the_kernel_of_the_scale_constraint_is_the_twin(reference, limit):
+    """Ratios on both sides of the limit, a needle, and a face of no area."""
+    corners = torch.cat([some_triangles(3000), EQUILATERAL, EQUILATERAL * torch.tensor([1.0, 1e-5, 0.0])])
+    corners = torch.cat([corners, corners[:1, [0, 0, 0]]])
+    surface = triangle_surface(corners)
+    binder = FaceBarycentricConfig(gaussians_per_face=2, reference=reference, fit_outline=False).build()
+    rows = rows_of(binder, surface)
+    rows["log_ratios"] += torch.randn(rows["log_ratios"].shape, generator=torch.Generator().manual_seed(1))
+    rows["rotation"] += 0.3
+    found = []
+    for dtype in (torch.float32, torch.float64):
+        binding = binder.bind(surface, rows, blur=0.0)
+        covariance = binding.tangent_covariance.to(dtype).detach().requires_grad_()
+        parts = {**vars(binding), "tangent_covariance": covariance}
+        parts["tangent_corners"] = binding.tangent_corners.to(dtype)
+        value = MeeScaleConfig(form=reference, limit=limit).build()(Binding(**parts))
+        (2.0 * value).backward()
+        found.append((value.detach().double(), covariance.grad.double()))
+    torch.testing.assert_close(found[0][0], found[1][0], rtol=1e-5, atol=0)
+    assert (found[1][1] != 0).any(dim=(2, 3)).double().mean() > 0.1
+    torch.testing.assert_close(found[0][1], found[1][1], rtol=1e-3, atol=1e-6 * float(found[1][1].abs().max()))
+
+
+def test_the_scale_constraint_repeats_to_the_last_bit_on_any_number_of_threads():
+    before, found = torch.get_num_threads(), []
+    binding = bound(some_triangles(5000).float(), scale=1.5)
+    for threads in (1, 2, 2):
+        torch.set_num_threads(threads)
+        found.append(MeeScaleConfig(limit=0.3).build()(binding))
+    torch.set_num_threads(before)
+    assert found[0] > 0
+    assert found[0] == found[1] == found[2]

@@ -24,12 +24,8 @@ from sculpt_framework.testing.splat_surface import (
 from sculpt_framework.types import Surface
 from sculpt_methods.sculpting import gaussian_sculpting
 from sculpt_plugins.binders.face_barycentric.config import FaceBarycentricConfig
-from sculpt_plugins.binders.face_barycentric.outline import (
-    _LOG_LAYERS_FROM,
-    _LOG_LAYERS_STEP,
-    neighbours,
-    rim_depths,
-)
+from sculpt_plugins.binders.face_barycentric.limits import LOG_LAYERS_FROM, LOG_LAYERS_STEP
+from sculpt_plugins.binders.face_barycentric.outline import neighbours, rim_depths
 from sculpt_plugins.binders.face_barycentric.sheets import thicknesses
 
 METHOD = gaussian_sculpting()
@@ -87,7 +83,7 @@ def test_the_depth_is_where_a_rim_of_gaussians_covers_half(layers: float):
     """Against a sum over single Gaussians, spread evenly over a parabolic rim."""
     theta, curvature, spacing = 0.99, 0.02, 0.02
     depths = rim_depths(theta)
-    depth = np.interp(math.log(layers), _LOG_LAYERS_FROM + _LOG_LAYERS_STEP * np.arange(len(depths)), depths)
+    depth = np.interp(math.log(layers), LOG_LAYERS_FROM + LOG_LAYERS_STEP * np.arange(len(depths)), depths)
     # s = 1; a row along the rim of deviation 1, rows back and forth along the line of sight.
     density = layers / math.sqrt(2.0 * math.pi) / math.sqrt(2.0 / curvature)
     along = np.arange(-6.0, 6.0, spacing)

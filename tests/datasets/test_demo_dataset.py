@@ -129,13 +129,13 @@ def test_cache_that_cannot_be_written(tmp_path: Path, monkeypatch: pytest.Monkey
 
 def test_demo_names() -> None:
     with pytest.raises(
-        DataError, match=r"there are blob, dents, thin, double-torus, gaps, machine, flask; did you mean gaps\?"
+        DataError, match=r"there are blob, dents, thin, double-torus, gaps, machine, flask, .*; did you mean gaps\?"
     ):
         AutoDatasetConfig().build("demo:gap")
     with pytest.raises(DataError, match=r"scenes/jar: not a demo scene; expected demo or demo:NAME"):
         DemoConfig().build("scenes/jar")
     documented = DemoConfig.__doc__ or ""
-    assert all(name in documented for name in OBJECTS)
+    assert "sculpt-data list" in documented
 
 
 def test_layout_is_recognised_and_named(tmp_path: Path) -> None:

@@ -16,6 +16,8 @@ from sculpt_framework.errors import DataError
 from sculpt_framework.types import Camera
 
 EVERY = pytest.mark.parametrize("item", OBJECTS.values(), ids=OBJECTS.keys())
+PLAIN = ("pebble", "two-faced")
+"""Made to have none, or none on most sides."""
 BALL = DemoObject(
     name="ball",
     summary="",
@@ -47,7 +49,8 @@ def test_object_lies_in_the_unit_ball(item: DemoObject) -> None:
 
 @EVERY
 def test_reference_mesh_is_exact_closed_and_outward(item: DemoObject) -> None:
-    mesh = _mesh(item, 56)
+    # Its rods are thinner than the cells that do for the others.
+    mesh = _mesh(item, 160 if item.name == "needle" else 56)
     assert np.abs(item.distance(mesh.vertices.T.copy())).max() < 1e-6
     assert mesh.is_watertight
     assert mesh.is_winding_consistent
@@ -98,7 +101,9 @@ def _silhouette(mesh: trimesh.Trimesh, camera: Camera, fine: int = 8) -> np.ndar
     return canvas.reshape(camera.height, fine, camera.width, fine).mean(axis=(1, 3))
 
 
-@EVERY
+@pytest.mark.parametrize(
+    "item", [each for each in OBJECTS.values() if each.name not in PLAIN], ids=lambda item: item.name
+)
 def test_texture_has_detail_everywhere(item: DemoObject) -> None:
     """Photometric reconstruction needs contrast within a few pixels, almost everywhere on the surface."""
     rgb, alpha = render(item, demo_cameras(1, 400)[0])

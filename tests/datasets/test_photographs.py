@@ -76,7 +76,7 @@ def test_a_turn_is_made_where_the_camera_asks_for_it(stored_upright: bool, tmp_p
         np.testing.assert_allclose(view.rgb.numpy(), shot.image[..., 2::-1] / 255, atol=1e-6)
 
 
-@pytest.mark.parametrize("divide", [2, 3, 4, 8])
+@pytest.mark.parametrize("divide", [2, 3, 4, 6, 8])
 @pytest.mark.parametrize("extension", [".png", ".jpg"])
 def test_reduced_images_are_means(divide: int, extension: str, tmp_path: Path):
     side = 96

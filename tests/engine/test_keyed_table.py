@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from sculpt_framework.keyed import KeyedTable
+from sculpt_framework.keyed import KeyedTable, adam_in_torch
 
 RATES = {"place": 0.1, "colour": 0.01, "fixed": 0.0}
 
@@ -70,6 +70,39 @@ def test_equals_adam_while_keys_stay():
         table.step()
         adam.step()
     torch.testing.assert_close(table.leaves["place"], twin, rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("shape", [(), (1,), (2, 3)])
+def test_the_kernel_is_the_twin(shape: tuple[int, ...]):
+    generator = torch.Generator().manual_seed(3)
+    count = 700
+    table, values = KeyedTable({"row": 0.05}), torch.randn(count, *shape, generator=generator)
+    table.rekey(torch.arange(count), {"row": values})
+    for _ in range(2):
+        table.leaves["row"].grad = torch.randn(count, *shape, generator=generator)
+        table.step()
+    # Half of the rows are new: they have other numbers of steps.
+    table.rekey(torch.arange(count) + count // 2, {"row": values})
+    state = {name: tensor.double().clone() for name, tensor in table.state().items()}
+    for _ in range(3):
+        gradient = torch.randn(count, *shape, generator=generator) * 1e-3
+        gradient[:5] = 0.0
+        table.leaves["row"].grad = gradient
+        table.step(rate_factor=0.3, eps=1e-15)
+        state["steps"] += 1
+        moments = (state["first.row"], state["second.row"])
+        adam_in_torch(state["value.row"], gradient.double(), *moments, state["steps"], 0.05 * 0.3, table.betas, 1e-15)
+    for name, tensor in table.state().items():
+        torch.testing.assert_close(tensor.double(), state[name], rtol=1e-4, atol=1e-6)
+
+
+def test_a_graph_of_values_before_a_step_is_refused():
+    table = table_of([1, 2], fill=1.0)
+    loss = table.leaves["place"].square().sum()
+    table.leaves["place"].grad = torch.ones(2, 3)
+    table.step()
+    with pytest.raises(RuntimeError, match="modified by an inplace operation"):
+        loss.backward()
 
 
 def test_a_new_row_has_its_own_bias_correction():

@@ -31,6 +31,7 @@ from sculpt_framework.evaluation.curve import read_curve
 from sculpt_framework.evaluation.mesh import load_mesh
 from sculpt_framework.export import atomic
 from sculpt_framework.types import Scene
+from sculpt_framework.viewing.run_folder import RunFolder
 from sculpt_plugins.appearances.per_gaussian.config import PerGaussianConfig
 from sculpt_plugins.datasets.blender.config import BlenderConfig
 from sculpt_plugins.extractors.flexicubes.config import FlexiCubesConfig
@@ -163,6 +164,28 @@ def test_ctrl_c_saves_and_resume_ends_as_if_unbroken(
     run(config, resume=folder, started=0.0)
     assert files_of(folder) == before
     assert capsys.readouterr().out.count("\n") == 1
+
+
+def test_a_run_without_a_recorder_can_be_looked_at_and_gone_on_with(
+    config: MethodConfig, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+):
+    folder, silent = tmp_path / "run", replace(config, observers=())
+    with monkeypatch.context() as patch:
+        interrupt_after(patch, 1)
+        run(silent, resume=None, started=0.0)
+    stopped = RunFolder(folder)
+    assert stopped.read_news() == []
+    result = stopped.newest()
+    assert result is not None
+    # As if it had been killed: a checkpoint is all there is.
+    (folder / "mesh.ply").unlink()
+    frame = stopped.newest()
+    assert frame is not None
+    assert frame.outer == 2
+    np.testing.assert_allclose(frame.vertices, result.vertices, atol=1e-5)
+    np.testing.assert_array_equal(frame.faces, result.faces)
+    run(silent, resume=folder, started=0.0)
+    assert (folder / "mesh.ply").is_file()
 
 
 def test_nothing_is_learned_from_test_views_or_the_reference(config: MethodConfig, scene_folder: Path, tmp_path: Path):

@@ -1,12 +1,16 @@
 """Bytes that were once a file of ours, and what reading them comes to."""
 
 import random
-from collections.abc import Callable
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 from sculpt_framework.errors import SculptError
 
+SOON = 120
+"""Seconds within which any answer comes, on a machine however busy: what takes longer hangs."""
 KINDS = ("flip", "cut", "insert", "drop", "repeat", "swap", "number", "zero")
 NUMBERS = (
     b"-1",
@@ -66,12 +70,29 @@ def outcome(target: Target, seed: int) -> str:
     """ "read", or "refused" with one line; whatever else is raised comes through."""
     target.path.write_bytes(mutated(target.original, seed))
     try:
-        target.read()
+        with answered_soon():
+            target.read()
     except SculptError as error:
         if not is_one_line(error):
             raise
         return "refused"
     return "read"
+
+
+@contextmanager
+def answered_soon() -> Iterator[None]:
+    """Raises TimeoutError for what hangs."""
+
+    def give_up(number: int, frame: object) -> None:
+        raise TimeoutError(f"no answer within {SOON} s")
+
+    previous = signal.signal(signal.SIGALRM, give_up)
+    signal.alarm(SOON)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, previous)
 
 
 def is_one_line(error: SculptError) -> bool:

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from fuzzing import Target, is_one_line, mutated, outcome
+from fuzzing import Target, answered_soon, is_one_line, mutated, outcome
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -83,10 +83,14 @@ def test_any_value_in_a_config(key: str, value: object):
 
 def ended(main: Callable[[], object]) -> tuple[int, str]:
     """Exit code and stderr of a command; what is no clean end comes through."""
+
+    def run() -> None:
+        main()
+
     said = io.StringIO()
-    with contextlib.redirect_stderr(said), contextlib.redirect_stdout(io.StringIO()):
+    with contextlib.redirect_stderr(said), contextlib.redirect_stdout(io.StringIO()), answered_soon():
         try:
-            exit_codes.run(lambda: main() and None)
+            exit_codes.run(run)
         except SystemExit as exit_:
             code = exit_.code if isinstance(exit_.code, int) else 1
             return code, said.getvalue()

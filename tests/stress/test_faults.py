@@ -48,7 +48,7 @@ def check_report(report: dict, kills: int) -> None:
 
 
 def test_killed_runs_end_as_unbroken_ones(small_scene: Path, tmp_path: Path):
-    check_report(killed(small_scene, tmp_path, 5, 500), 5)
+    check_report(killed(small_scene, tmp_path, 3, 500), 3)
 
 
 @pytest.mark.slow
@@ -105,6 +105,7 @@ def sculpt_train(*words: str, **options) -> subprocess.CompletedProcess[str]:
 def test_files_the_system_refuses_are_one_line(small_scene: Path, tmp_path: Path):
     words = ["gaussian-sculpting-tiny", "--data", str(small_scene), "--output", str(tmp_path / "run")]
     steps = ["--trainer.outer-steps", "2", "--trainer.fit-steps", "5", "--trainer.base-cells", "8"]
+    steps += ["--trainer.checkpoint-seconds", "0.01", "--trainer.polish-steps", "0"]
     done = sculpt_train(*words, *steps, "--observers", "recorder", preexec_fn=limit_files)
     assert done.returncode == 2, done.stderr[-2000:]
     assert done.stderr.count("\n") == 1

@@ -2,13 +2,14 @@
 
 import json
 import math
+from dataclasses import replace
 
 import pytest
 
 from sculpt_framework.cli.stress import stress
 from sculpt_framework.stress import chain, faces, splats, surfaces
 from sculpt_framework.stress.cases import Case, Measured, run_cases
-from sculpt_framework.stress.stiff import curves, safe_range
+from sculpt_framework.stress.stiff import BOUND, curves, safe_range, standard
 from sculpt_framework.stress.suite import GROUPS, chosen_cases
 
 
@@ -81,6 +82,15 @@ def test_every_weight_of_the_method_has_a_curve():
     method = registry.load_method("gaussian-sculpting")()
     terms = {registry.name_of(part) for part in (*method.losses, *method.constraints)} - {"photometric", "silhouette"}
     assert {f"weight-{name}" for name in terms} <= {curve.name for curve in curves()}
+
+
+def test_the_bounded_curve_bounds_steps_and_nothing_else():
+    plain, bounded = (next(each for each in curves() if each.name == f"rate-field{end}") for end in ("", "-bounded"))
+    assert set(plain.factors) < set(bounded.factors)
+    free, held = plain.change(standard(), 10.0), bounded.change(standard(), 10.0)
+    assert held.field == free.field != standard().field
+    assert replace(held, trainer=replace(held.trainer, trust_cells=free.trainer.trust_cells)) == free
+    assert held.trainer.trust_cells == BOUND != free.trainer.trust_cells
 
 
 def test_the_command_prints_json(capsys: pytest.CaptureFixture[str]):

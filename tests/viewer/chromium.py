@@ -29,14 +29,32 @@ _OPTIONS = (
 # Where the middle of what has a label is, if a press there would reach it.
 _PLACE = """
     label => {
-        const all = [...document.querySelectorAll('button, label, [role=tab], .mantine-Checkbox-label')];
-        const found = all.find(each => each.innerText.trim() === label && each.offsetParent !== null);
+        const named = selector => [...document.querySelectorAll(selector)].filter(
+            each => each.innerText && each.innerText.trim() === label && each.offsetParent !== null);
+        // A folder's heading is none of these: the innermost of what has its words.
+        const found = named('button, label, [role=tab]')[0] || named('body *').at(-1);
         if (!found) return null;
         found.scrollIntoView({block: 'center', behavior: 'instant'});
         const box = found.getBoundingClientRect();
         const [x, y] = [box.x + box.width / 2, box.y + box.height / 2];
         const top = document.elementFromPoint(x, y);
         return top && (found.contains(top) || top.contains(found)) ? [x, y] : null;
+    }
+"""
+
+# Select what is in the given one of the fields beside a label.
+_FIELD = """
+    (label, index) => {
+        const named = [...document.querySelectorAll('body *')].filter(
+            each => each.innerText && each.innerText.trim() === label && each.offsetParent !== null).at(-1);
+        let around = named;
+        while (around && !around.querySelector('input')) around = around.parentElement;
+        if (!around) return false;
+        const field = [...around.querySelectorAll('input')].filter(each => each.type !== 'hidden')[index];
+        field.scrollIntoView({block: 'center', behavior: 'instant'});
+        field.focus();
+        field.select();
+        return true;
     }
 """
 
@@ -91,7 +109,7 @@ class Page:
     """A tab. Calls wait for the browser's answer."""
 
     def __init__(self, address: str, url: str):
-        self._socket: ClientConnection = connect(address, max_size=None, compression=None)
+        self._socket: ClientConnection = connect(address, max_size=None, compression=None, open_timeout=60)
         self._ids = itertools.count(1)
         self._session: str | None = None
         self.requests: list[str] = []
@@ -151,10 +169,51 @@ class Page:
         for kind in ("mousePressed", "mouseReleased"):
             self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
 
+    def fill(self, label: str, *values: float, seconds: float = 90.0) -> None:
+        """Type numbers into the fields beside this label, each ended with Tab."""
+        for index, value in enumerate(values):
+            deadline = time.monotonic() + seconds
+            while not self.evaluate(f"({_FIELD})({json.dumps(label)}, {index})"):
+                assert time.monotonic() < deadline, f"no field is labelled {label!r}:\n{self.text()}"
+                time.sleep(0.2)
+            self.call("Input.insertText", text=f"{value:g}")
+            for kind in ("rawKeyDown", "keyUp"):
+                self.call("Input.dispatchKeyEvent", type=kind, key="Tab", code="Tab", windowsVirtualKeyCode=9)
+
+    def is_on(self, label: str) -> bool:
+        """Whether the checkbox with this label is checked."""
+        script = f"""
+            (() => {{
+                const named = [...document.querySelectorAll('label')].find(
+                    each => each.innerText.trim() === {json.dumps(label)} && each.offsetParent !== null);
+                let around = named;
+                while (around && !around.querySelector('input')) around = around.parentElement;
+                return around ? around.querySelector('input').checked : null;
+            }})()
+        """
+        on = self.evaluate(script)
+        assert on is not None, f"no checkbox is labelled {label!r}"
+        return on
+
+    def drag(self, x: float, y: float, right: float, down: float) -> None:
+        """Press at a place in pixels, move the mouse by so many and let go."""
+        self.call("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y)
+        time.sleep(0.5)
+        self.call("Input.dispatchMouseEvent", type="mousePressed", x=x, y=y, button="left", clickCount=1)
+        for step in range(1, 9):
+            at = {"x": x + right * step / 8, "y": y + down * step / 8}
+            self.call("Input.dispatchMouseEvent", type="mouseMoved", button="left", buttons=1, **at)
+            time.sleep(0.1)
+        x, y = x + right, y + down
+        self.call("Input.dispatchMouseEvent", type="mouseReleased", x=x, y=y, button="left", clickCount=1)
+
     def reload(self) -> None:
         self.call("Page.reload")
 
     def screenshot(self, path: Path) -> bytes:
+        """Without the notice that there is no GPU."""
+        notices = "document.querySelectorAll('.mantine-Notifications-root')"
+        self.evaluate(f"{notices}.forEach(each => each.style.display = 'none')")
         data = base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(data)

@@ -5,68 +5,25 @@ pytest -m browser tests/viewer
 
 import json
 import os
-import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
+from sculpt_framework.evaluation.geometry import MeasuredMesh
+from sculpt_framework.evaluation.mesh import Mesh, load_mesh
+
 from .chromium import Chromium, Page
+from .training import STEPS, Run, eventually, train_words
 
 pytestmark = pytest.mark.browser
 
 PICTURES = Path(__file__).parents[2] / "outputs" / "viewer-tests"
-STEPS = 100_000
-"""More than any test waits for: a run ends when it is told to."""
-
-
-def eventually(condition: Callable[[], bool], seconds: float = 180.0) -> None:
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.1)
-
-
-class Run:
-    """A training process with a viewer on a port of its own."""
-
-    def __init__(self, folder: Path, port: int, steps: int = STEPS):
-        self.folder = folder / "run"
-        self.address = f"http://127.0.0.1:{port}"
-        self.log = folder / "log.txt"
-        words = ["gaussian-sculpting-tiny", "--data", "demo", "--output", str(self.folder), "--threads", "1"]
-        words += ["--viewer", "--observers.viser.port", str(port), "--observers.viser.seconds", "0.5"]
-        words += ["--observers.recorder.step-seconds", "0", "--trainer.outer-steps", str(steps)]
-        script = "from sculpt_framework.cli.train import main; main()"
-        with open(self.log, "wb") as log:
-            self.process = subprocess.Popen([sys.executable, "-c", script, *words], stdout=log, stderr=log)
-        eventually(lambda: "viewer at" in self.log.read_text() or self.process.poll() is not None)
-        assert self.process.poll() is None, self.log.read_text()
-
-    @property
-    def events(self) -> list[dict]:
-        path = self.folder / "events.jsonl"
-        text = path.read_text() if path.exists() else ""
-        return [json.loads(line) for line in text[: text.rfind("\n") + 1].splitlines()]
-
-    @property
-    def steps(self) -> int:
-        return max((event["outer"] for event in self.events if event["event"] == "outer_step"), default=0)
-
-    @property
-    def commands(self) -> list[dict]:
-        return [event["data"]["command"] for event in self.events if "command" in event["data"]]
-
-    def last_faces(self) -> int:
-        return [event["data"]["faces"] for event in self.events if event["event"] == "outer_step"][-1]
-
-    def kill(self) -> None:
-        if self.process.poll() is None:
-            self.process.send_signal(signal.SIGKILL)
-        self.process.wait()
 
 
 @pytest.fixture(scope="module")
@@ -83,28 +40,75 @@ def run(tmp_path_factory: pytest.TempPathFactory, chromium: Chromium) -> Iterato
     run.kill()
 
 
-def colored_share(page: Page) -> float:
-    """The share of the 3D canvas that is not grey or white, of what the browser has painted."""
+@pytest.fixture(scope="module")
+def joint(tmp_path_factory: pytest.TempPathFactory, chromium: Chromium) -> Iterator[Run]:
+    """A run of one level: its steps tell of the constraints, which else work in the inner loop."""
+    run = Run(tmp_path_factory.mktemp("joint"), 7032, "--trainer.no-gradient-isolation", steps=4000)
+    yield run
+    run.kill()
+
+
+def exported(run: Run, page: Page) -> Mesh:
+    """The mesh as it is now, by the button for it."""
+    before = set((run.folder / "exports").glob("*.glb"))
+    page.click("Export the mesh")
+    eventually(lambda: len(set((run.folder / "exports").glob("*.glb")) - before) == 1)
+    (path,) = set((run.folder / "exports").glob("*.glb")) - before
+    return load_mesh(path.with_suffix(".ply"))
+
+
+def gizmo_handle(page: Page) -> tuple[float, float]:
+    """Where in the page one can take hold of the box: the middle of a red handle."""
     script = """
+        let found = [];
+        for (let y = 4; y < canvas.height - 4; y += 1) for (let x = 4; x < canvas.width - 4; x += 1) {
+            let red = true;
+            for (let dy = -3; dy <= 3 && red; dy += 3) for (let dx = -3; dx <= 3 && red; dx += 3) {
+                const at = 4 * ((y + dy) * canvas.width + x + dx);
+                red = data[at] > 235 && data[at + 1] < 90 && data[at + 2] > 60 && data[at + 2] < 140;
+            }
+            if (red) found.push([x, y]);
+        }
+        return found.length ? found[found.length >> 1] : null;
+    """
+    found = None
+    deadline = time.monotonic() + 60.0
+    while found is None:
+        assert time.monotonic() < deadline, "there is no handle in the picture"
+        found = of_picture(page, script)
+    return found[0], found[1]
+
+
+def of_picture(page: Page, script: str) -> Any:
+    """What a script makes of the page as the browser has painted it, ``data`` in ``canvas``, without the panel."""
+    around = """
         (async () => {
             const image = new Image();
             image.src = 'data:image/png;base64,' + DATA;
             await image.decode();
             const canvas = document.createElement('canvas');
-            canvas.width = 900; canvas.height = image.height;
+            canvas.width = 1080; canvas.height = image.height;
             const context = canvas.getContext('2d');
             context.drawImage(image, 0, 0);
             const data = context.getImageData(0, 0, canvas.width, canvas.height).data;
-            let found = 0;
-            for (let at = 0; at < data.length; at += 4) {
-                const low = Math.min(data[at], data[at + 1], data[at + 2]);
-                if (Math.max(data[at], data[at + 1], data[at + 2]) - low > 30) found += 1;
-            }
-            return found / (data.length / 4);
+            SCRIPT
         })()
     """
-    data = page.call("Page.captureScreenshot", format="png")["data"]
-    return page.evaluate(script.replace("DATA", json.dumps(data)))
+    picture = page.call("Page.captureScreenshot", format="png")["data"]
+    return page.evaluate(around.replace("DATA", json.dumps(picture)).replace("SCRIPT", script))
+
+
+def colored_share(page: Page) -> float:
+    """The share of the 3D canvas that is not grey or white, of what the browser has painted."""
+    script = """
+        let found = 0;
+        for (let at = 0; at < data.length; at += 4) {
+            const low = Math.min(data[at], data[at + 1], data[at + 2]);
+            if (Math.max(data[at], data[at + 1], data[at + 2]) - low > 30) found += 1;
+        }
+        return found / (data.length / 4);
+    """
+    return of_picture(page, script)
 
 
 def test_the_page_shows_a_surface_that_grows(run: Run, chromium: Chromium):
@@ -116,10 +120,18 @@ def test_the_page_shows_a_surface_that_grows(run: Run, chromium: Chromium):
     before = run.steps
     eventually(lambda: run.steps > before + 3)
     eventually(lambda: page.text() != first)
-    page.click("Gaussians")
+    for layer in ("Gaussians", "Wireframe", "Grid cells", "Reference mesh"):
+        page.click(layer)
+        eventually(lambda layer=layer: page.is_on(layer))
     time.sleep(3)
-    assert colored_share(page) > 0.02
+    page.screenshot(PICTURES / "layers.png")
+    for layer in ("Mesh", "Wireframe", "Grid cells", "Reference mesh"):
+        page.click(layer)
+    eventually(lambda: not page.is_on("Mesh"))
+    time.sleep(3)
+    assert colored_share(page) > 0.02  # of the splats alone
     page.screenshot(PICTURES / "gaussians.png")
+    page.click("Mesh")
     page.reload()
     page.wait_for("of training:")
     eventually(lambda: colored_share(page) > 0.02)
@@ -140,29 +152,81 @@ def test_pausing_stops_steps_and_going_on_takes_them_up(run: Run, chromium: Chro
     assert run.steps == before
     page.click("Plan")
     page.wait_for("action: paused")
-    page.screenshot(PICTURES / "plan.png")
     page.click("Steer")
     page.click("Go on")
     eventually(lambda: run.steps > before)
     page.close()
 
 
-def test_a_refined_box_gets_more_triangles(run: Run, chromium: Chromium):
+def test_weights_and_rates_have_their_effect(run: Run, chromium: Chromium):
+    page = chromium.open(run.address)
+    page.wait_for("Steer")
+    page.click("Steer")
+    assert run.wait_for_steps(1)[0]["terms"]["eikonal"] > 0
+    page.click("Weights")
+    page.fill("eikonal", 0)
+    run.wait_for_command(do="set-weight", slot="losses", name="eikonal", weight=0.0)
+    assert all(step["terms"]["eikonal"] == 0 for step in run.wait_for_steps(2))
+    page.click("Learning rates")
+    page.fill("Of the gaussians, times", 0.5)
+    run.wait_for_command(do="set-rate", part="gaussians", factor=0.5)
+    page.fill("Of the surface, times", 0)
+    run.wait_for_command(do="set-rate", part="surface", factor=0.0)
+    run.wait_for_steps(1)
+    first = exported(run, page)
+    run.wait_for_steps(2)
+    np.testing.assert_array_equal(exported(run, page).vertices, first.vertices)
+    page.fill("Of the surface, times", 1)
+    run.wait_for_command(do="set-rate", part="surface", factor=1.0)
+    run.wait_for_steps(2)
+    assert not np.array_equal(exported(run, page).vertices, first.vertices)
+    page.screenshot(PICTURES / "weights.png")
+    page.close()
+
+
+def test_a_box_that_is_dragged_refines_freezes_and_ignores(run: Run, chromium: Chromium):
     page = chromium.open(run.address)
     page.wait_for("Steer")
     page.click("Steer")
     page.click("Place a box")
     page.wait_for("Refine here")
-    time.sleep(2.0)
+    run.wait_for_steps(1)
     page.screenshot(PICTURES / "box.png")
     before = run.last_faces()
     page.click("Refine here")
-    eventually(lambda: any(command["do"] == "add-box" for command in run.commands))
+    placed = run.wait_for_command(do="add-box", kind="refine")
     eventually(lambda: run.last_faces() > 1.05 * before)
+    page.click("Take all boxes back")
+    run.wait_for_command(do="clear-boxes")
+    eventually(lambda: run.last_faces() < 1.02 * before)
+
+    page.drag(*gizmo_handle(page), right=60, down=-40)
+    page.fill("Sides", 5, 6, 7)  # more than the whole object
+    page.click("Freeze here")
+    frozen = run.wait_for_command(do="add-box", kind="freeze")
+    sides, moved = [np.subtract(frozen["maximum"], frozen["minimum"]), middle(frozen) - middle(placed)]
+    np.testing.assert_allclose(sides, [5, 6, 7])
+    assert np.abs(moved).max() > 0.02
+    run.wait_for_steps(1)
+    first = exported(run, page)
+    run.wait_for_steps(3)
+    distance = np.sqrt(MeasuredMesh(first, samples=1).squared_distances(exported(run, page).vertices)[0])
+    # The extractor's weights still move triangles by hundredths of a cell.
+    assert distance.max() < 0.05 * run.cell
+    page.click("Ignore here")
+    run.wait_for_command(do="add-box", kind="ignore", minimum=frozen["minimum"], maximum=frozen["maximum"])
+    page.click("Take all boxes back")
+    page.click("Plan")
+    page.wait_for("action: ignore in the box")
+    page.screenshot(PICTURES / "plan.png")
     page.close()
 
 
-def test_cameras_plots_and_an_export(run: Run, chromium: Chromium):
+def middle(box: dict) -> np.ndarray:
+    return 0.5 * np.add(box["minimum"], box["maximum"])
+
+
+def test_cameras_and_plots(run: Run, chromium: Chromium):
     page = chromium.open(run.address)
     page.wait_for("Cameras")
     page.click("Cameras")
@@ -174,18 +238,19 @@ def test_cameras_plots_and_an_export(run: Run, chromium: Chromium):
     page.click("Plots")
     page.wait_for("Loss against training time")
     page.screenshot(PICTURES / "plots.png")
-    page.click("Steer")
-    page.click("Export the mesh")
-    eventually(lambda: len(list((run.folder / "exports").glob("*.glb"))) == 1)
     page.close()
 
 
-def test_a_browser_that_crashes_leaves_the_run_and_the_others_alone(run: Run, chromium: Chromium):
+def test_two_browsers_show_the_same_and_one_that_crashes_leaves_the_other_alone(run: Run, chromium: Chromium):
     page = chromium.open(run.address)
     page.wait_for("of training:")
     other = Chromium()
     second = other.open(run.address)
     second.wait_for("of training:")
+    eventually(lambda: colored_share(second) > 0.02)
+    second.click("Wireframe")
+    eventually(lambda: page.is_on("Wireframe"))
+    assert colored_share(page) > 0.02
     other.kill()
     second.forget()
     other.close()
@@ -194,6 +259,15 @@ def test_a_browser_that_crashes_leaves_the_run_and_the_others_alone(run: Run, ch
     assert run.process.poll() is None
     eventually(lambda: f"Step {run.steps}" in page.text())
     page.close()
+
+
+def test_a_port_that_is_taken_is_one_line(run: Run, tmp_path: Path):
+    words = train_words(tmp_path / "run", port=7031)
+    done = subprocess.run(words, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "cannot listen on 127.0.0.1:7031" in done.stderr
+    assert "choose another --observers.viser.port" in done.stderr
 
 
 def test_stop_and_save_ends_the_run_with_a_mesh(run: Run, chromium: Chromium):
@@ -209,8 +283,21 @@ def test_stop_and_save_ends_the_run_with_a_mesh(run: Run, chromium: Chromium):
     page.close()
 
 
-def test_a_killed_run_can_be_looked_at(tmp_path: Path, chromium: Chromium):
-    run = Run(tmp_path, 7032, steps=4000)
+def test_a_constraint_can_be_left_out_and_taken_in_again(joint: Run, chromium: Chromium):
+    page = chromium.open(joint.address)
+    page.wait_for("Steer")
+    page.click("Steer")
+    page.click("Constraints")
+    assert "mee-scale" in joint.wait_for_steps(1)[0]["terms"]
+    for on in (False, True):
+        page.click("mee-scale")
+        joint.wait_for_command(do="switch-constraint", name="mee-scale", on=on)
+        assert all(("mee-scale" in step["terms"]) is on for step in joint.wait_for_steps(2))
+    page.close()
+
+
+def test_a_killed_run_can_be_looked_at(joint: Run, chromium: Chromium):
+    run = joint
     eventually(lambda: run.steps >= 100)  # before that, nothing has a colour
     eventually(lambda: any((run.folder / "evolution").glob("*.npz")))
     run.kill()

@@ -4,21 +4,34 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import viser._messages as messages
 from websockets.exceptions import ConnectionClosed
 
-from sculpt_framework.engine.commands import Command, Pause, Stop
-from sculpt_framework.errors import DataError
+from sculpt_framework import registry
+from sculpt_framework.engine.commands import (
+    AddBox,
+    ClearBoxes,
+    Command,
+    Pause,
+    SetRate,
+    SetWeight,
+    Stop,
+    SwitchConstraint,
+)
+from sculpt_framework.engine.run import run
+from sculpt_framework.errors import ConfigError, DataError
+from sculpt_framework.testing.viewer_client import announce, connected, find_control, received, send, set_control
 from sculpt_framework.types import Scene
 from sculpt_framework.viewing.frames import FOLDER, LIVE, write_frame
 from sculpt_framework.viewing.html import write_html
 from sculpt_framework.viewing.run_folder import RunFolder
 from sculpt_framework.viewing.show import Show
+from sculpt_plugins.observers.viser.config import ViserConfig
 
-from .protocol import announce, connected, received, send
 from .runs import make_run, octahedron
 
 
@@ -75,6 +88,15 @@ def test_the_page_shows_the_run(show: Show):
     assert sum(each["type"] == "GuiUplotMessage" for each in messages_) == 3
 
 
+def test_what_was_planned_stands_before_what_was_decided(show: Show):
+    row = {"item": "views", "value": "80 of 100", "evidence": "20 see nothing", "override": "--plan.views off"}
+    show.overview.hear([{"event": "plan", "t_train": 0.0, "outer": 0, "data": {"decisions": [row], "kept": []}}])
+    show.update()
+    first, second = show.overview.plan.content.splitlines()
+    assert first == "- plan, views: 80 of 100; 20 see nothing (`--plan.views off` takes it back)"
+    assert "initial surface" in second
+
+
 def test_switches_add_layers(show: Show):
     show.update()
     for name in ("wireframe", "gaussians", "cells"):
@@ -113,14 +135,14 @@ def test_the_slider_goes_back_in_time(show: Show, tmp_path: Path):
 
 def press(show: Show, label: str) -> None:
     """Press the button with this label as a browser does."""
+    change(show, "GuiButtonMessage", label, True)
+
+
+def change(show: Show, kind: str, label: str, value: object) -> None:
+    """Give the control of this kind and label a value as a browser does."""
     with connected(address(show)) as client:
         announce(client)
-        found = [
-            each
-            for each in received(client, 0.7)
-            if each["type"] == "GuiButtonMessage" and each["props"]["label"] == label
-        ]
-        send(client, messages.GuiUpdateMessage(uuid=found[0]["uuid"], updates={"value": True}))
+        set_control(client, find_control(client, kind, label), value)
         time.sleep(0.3)
 
 
@@ -129,6 +151,36 @@ def test_controls_send_commands(show: Show, sent: list[Command]):
     eventually(lambda: sent == [Pause()])
     press(show, "Stop and save")
     eventually(lambda: sent == [Pause(), Stop()])
+
+
+@pytest.mark.parametrize(
+    ("kind", "label", "value", "command"),
+    [
+        ("GuiNumberMessage", "eikonal", 0.5, SetWeight(slot="losses", name="eikonal", weight=0.5)),
+        ("GuiNumberMessage", "spacing", 2.0, SetWeight(slot="constraints", name="spacing", weight=2.0)),
+        ("GuiCheckboxMessage", "spacing", False, SwitchConstraint(name="spacing", on=False)),
+        ("GuiSliderMessage", "Of the surface, times", 0.5, SetRate(part="surface", factor=0.5)),
+        ("GuiSliderMessage", "Of the gaussians, times", 2.0, SetRate(part="gaussians", factor=2.0)),
+    ],
+)
+def test_numbers_and_switches_send_commands(
+    show: Show, sent: list[Command], kind: str, label: str, value: object, command: Command
+):
+    change(show, kind, label, value)
+    eventually(lambda: sent == [command])
+
+
+@pytest.mark.parametrize("kind", ["refine", "freeze", "ignore"])
+def test_a_box_is_for_what_its_button_says(show: Show, sent: list[Command], kind: str):
+    show.update()
+    press(show, "Place a box")
+    press(show, f"{kind.capitalize()} here")
+    eventually(lambda: len(sent) == 1)
+    (command,) = sent
+    assert isinstance(command, AddBox)
+    assert command.kind == kind
+    press(show, "Take all boxes back")
+    eventually(lambda: sent == [command, ClearBoxes()])
 
 
 def test_a_box_is_sent_in_world_frame(show: Show, sent: list[Command]):
@@ -203,6 +255,16 @@ def test_mistakes_are_one_line_and_exit_code_2(tmp_path: Path, words: list[str],
     assert done.returncode == 2
     assert complaint in done.stderr
     assert done.stderr.count("\n") == 1
+
+
+def test_a_port_that_is_taken_is_said_before_a_run_has_a_folder(show: Show, tmp_path: Path):
+    config = ViserConfig(port=show.port)
+    folder = tmp_path / "new"
+    method = replace(registry.load_method("gaussian-sculpting-tiny")(), data="demo", output=folder, observers=(config,))
+    with pytest.raises(ConfigError, match=rf"127.0.0.1:{show.port} \(.*choose another --observers.viser.port") as error:
+        run(method, resume=None, started=0.0)
+    assert "\n" not in str(error.value)
+    assert not folder.exists()
 
 
 def test_a_run_without_a_viewer_imports_none_of_it():

@@ -23,6 +23,9 @@ class FaceBarycentricConfig(BinderConfig):
     fit_outline: bool = True
     """Set Gaussians below their faces and end them at sharp bends, so that their outline is the mesh's
     (docs/splat-surface.md); off: on the face (paper)."""
+    places: Literal["learned", "fixed"] = "learned"
+    """Learn where on their faces Gaussians lie, how large and how turned they are; or leave all that as it starts,
+    which costs no rows."""
     opacity: Literal["fixed", "learnable"] = "fixed"
     """Fixed at theta (paper), or learned per Gaussian from there (ablation)."""
     theta: float = 0.99

@@ -21,20 +21,20 @@ import torch
 from jaxtyping import Float, Float64, Int64
 from torch import Tensor
 
+from sculpt_plugins.binders.face_barycentric.limits import (
+    FLAT,
+    FLATTEST,
+    LOG_LAYERS_FROM,
+    LOG_LAYERS_STEP,
+    LOG_LAYERS_TO,
+    NARROWEST,
+    OF_A_SHEET,
+    TINY,
+)
 from sculpt_plugins.binders.face_barycentric.sheets import thicknesses
 
-_FLATTEST = 1.0
-"""Curvature, per object unit, of the ball that fills the object's box: no rim is taken for flatter."""
 _LAYERS_AT_AN_EDGE = 2
 """Gaussians that overlap on an outline at the least: one of either face at an edge."""
-_NARROWEST = 0.02
-"""Share of a Gaussian's deviation that trimming leaves at the least: less, and rounding shows in other directions."""
-_OF_A_SHEET = 0.4
-"""Share of a sheet's thickness that Gaussians go below their face at the most: the two sides stay apart."""
-_FLAT = 1e-3
-"""Sine of a bend that is no bend."""
-_TINY = 1e-20
-_LOG_LAYERS_FROM, _LOG_LAYERS_TO, _LOG_LAYERS_STEP = -1.0, 8.0, 0.125
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -72,7 +72,7 @@ class Relief:
     @property
     def half_tangent(self) -> Float[Tensor, "3 f"]:
         """Tangent of half the angle; of a fold back onto itself, a large number."""
-        return self.sine / (1.0 + self.cosine).clamp(min=_FLAT)
+        return self.sine / (1.0 + self.cosine).clamp(min=FLAT)
 
 
 def rim_depths(theta: float) -> Float64[np.ndarray, " n"]:
@@ -82,7 +82,7 @@ def rim_depths(theta: float) -> Float64[np.ndarray, " n"]:
     # Li_3/2 is the optical depth of a row of Gaussians, summed along the row.
     peaks = theta * np.exp(-0.5 * (depths[:, None] + places**2) ** 2)
     tau = (peaks[:, :, None] ** terms / terms**1.5).sum(axis=(1, 2)) * (places[1] - places[0])
-    wanted = np.arange(_LOG_LAYERS_FROM, _LOG_LAYERS_TO + _LOG_LAYERS_STEP, _LOG_LAYERS_STEP)
+    wanted = np.arange(LOG_LAYERS_FROM, LOG_LAYERS_TO + LOG_LAYERS_STEP, LOG_LAYERS_STEP)
     found = np.interp(wanted, math.log(math.log(2.0)) - np.log(tau), depths)
     least = 2.0 * math.log(theta / (1.0 - 0.5 ** (1.0 / _LAYERS_AT_AN_EDGE)))
     return np.maximum(found, math.sqrt(max(least, 0.0)))
@@ -115,7 +115,7 @@ def fit_outline(
     below = (depth * relief.cosine)[:, None] + relief.sine[:, None] * distance
     spread = (below.clamp(min=0.0) / deviations).square() - blur * blur
     return Fit(
-        depth=torch.minimum(depth, _OF_A_SHEET * relief.thickness),
+        depth=torch.minimum(depth, OF_A_SHEET * relief.thickness),
         shift=shift.permute(2, 0, 1).contiguous(),
         trim=_trims(relief, across, spread - (normal_scale * relief.cosine)[:, None].square()),
     )
@@ -132,7 +132,7 @@ def relief_of(
     own = normal.T.contiguous()
     edges = corner.roll(-1, dims=0) - corner
     lengths = edges.square().sum(dim=1).sqrt()
-    outward = torch.linalg.cross(edges, own.expand_as(edges), dim=1) / (lengths + _TINY)[:, None]
+    outward = torch.linalg.cross(edges, own.expand_as(edges), dim=1) / (lengths + TINY)[:, None]
     theirs = own.index_select(1, neighbours(faces).T.reshape(-1)).reshape(3, 3, -1).transpose(0, 1)
     sine = (theirs * outward).sum(dim=1)
     # From the corner opposite, which is two further on, to the edge.
@@ -142,11 +142,11 @@ def relief_of(
         outward=outward,
         heights=heights,
         cosine=(theirs * own).sum(dim=1),
-        sine=torch.where(sine > _FLAT, sine, 0.0),
+        sine=torch.where(sine > FLAT, sine, 0.0),
         reach=(outward[:, None] * radii.permute(2, 1, 0)).sum(dim=2),
         area=area,
         # Columns of two cells of a grid with two faces each.
-        thickness=thicknesses(corner.mean(dim=0), own, 2.0 * math.sqrt(2.0 * area + _TINY)),
+        thickness=thicknesses(corner.mean(dim=0), own, 2.0 * math.sqrt(2.0 * area + TINY)),
     )
 
 
@@ -169,22 +169,30 @@ def _across(relief: Relief, mixing: Float[Tensor, "f k 2 2"]) -> Float[Tensor, "
     return relief.reach[:, 0, None, None] * along + relief.reach[:, 1, None, None] * other
 
 
+def log_density(relief: Relief, variance: float, per_face: int, width: float, blur: float) -> float:
+    """ln N of a rim of curvature 1: how many Gaussians overlap there. ``width`` is s.
+
+    ``variance`` is that of the Gaussians along an edge's normal, averaged over edges, which stands for that along the
+    rim.
+    """
+    per_root = per_face / (relief.area + TINY) * math.sqrt(2.0 * math.pi * (variance + blur * blur) * 2.0 * width)
+    return math.log(per_root + TINY)
+
+
 def _log_layers(
     relief: Relief, across: Float[Tensor, "3 2 k f"], per_face: int, width: float, blur: float
 ) -> Float[Tensor, " f"]:
-    """ln N: how many Gaussians overlap on a rim of each face's own curvature. ``width`` is s."""
-    # The variance along an edge's normal, averaged over the edges, stands for that along the rim.
+    """ln N on a rim of each face's own curvature."""
     variance = float(across.square().sum(dim=1).mean())
-    per_root = per_face / (relief.area + _TINY) * math.sqrt(2.0 * math.pi * (variance + blur * blur) * 2.0 * width)
     # Two centroids are about two thirds of a height apart, and the bend between two sides of a polygon round a circle
     # has a half whose tangent is half a side over the radius.
-    curvature = (3.0 * relief.half_tangent / (relief.heights + _TINY)).amax(dim=0).clamp(min=_FLATTEST)
-    return math.log(per_root + _TINY) - 0.5 * curvature.log()
+    curvature = (3.0 * relief.half_tangent / (relief.heights + TINY)).amax(dim=0).clamp(min=FLATTEST)
+    return log_density(relief, variance, per_face, width, blur) - 0.5 * curvature.log()
 
 
 def _interpolated(depths: Float[Tensor, " n"], log_layers: Float[Tensor, " f"]) -> Float[Tensor, " f"]:
     """Between the values of ``rim_depths``, of which the first and the last hold beyond them."""
-    at = ((log_layers - _LOG_LAYERS_FROM) / _LOG_LAYERS_STEP).clamp(0.0, len(depths) - 1.001)
+    at = ((log_layers - LOG_LAYERS_FROM) / LOG_LAYERS_STEP).clamp(0.0, len(depths) - 1.001)
     low = at.floor()
     # Clamped as an integer, because a NaN becomes any number.
     index = low.long().clamp(0, len(depths) - 2)
@@ -201,8 +209,8 @@ def _trims(
     changes nothing at right angles. Of several bounds the c add up, which keeps them all.
     """
     x, y = across.unbind(dim=1)
-    variance = x * x + y * y + _TINY
-    bound = torch.maximum(spread / (relief.sine.square() + _TINY)[:, None], _NARROWEST**2 * variance)
+    variance = x * x + y * y + TINY
+    bound = torch.maximum(spread / (relief.sine.square() + TINY)[:, None], NARROWEST**2 * variance)
     surplus = (1.0 / bound - 1.0 / variance).clamp(min=0.0) * (relief.sine > 0.0)[:, None]
     xx, xy, yy = (surplus * x * x).sum(dim=0), (surplus * x * y).sum(dim=0), (surplus * y * y).sum(dim=0)
     # The inverse transpose of the Cholesky factor of I + sum c g g^T.

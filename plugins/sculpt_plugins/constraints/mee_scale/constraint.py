@@ -1,11 +1,19 @@
 """The scale constraint (paper, equations 3 to 5)."""
 
+from pathlib import Path
+
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from sculpt_framework.binders import Binding
 from sculpt_framework.constraints import Constraint
+from sculpt_framework.cpu_kernels import kernel_cache, share_threads
+
+with kernel_cache("mee-scale", Path(__file__).with_name("kernels.py")):
+    from sculpt_plugins.constraints.mee_scale import kernels
 
 _TINY = 1e-12
 
@@ -34,7 +42,38 @@ class MeeScale(Constraint):
             edges = corners[:, 1:] - corners[:, :1]
             ellipse = torch.diag_embed(0.25 * edges.square().sum(dim=2))
         ellipse = ellipse + _TINY * torch.eye(2, dtype=corners.dtype, device=corners.device)
-        return (_largest_eigenvalue(ellipse[:, None], binding.tangent_covariance) - self._limit).clamp(min=0).mean()
+        covariance = binding.tangent_covariance
+        if covariance.dtype == torch.float32 and covariance.device.type == "cpu" and not ellipse.requires_grad:
+            return _CompiledExcess.apply(ellipse, covariance, self._limit)
+        return mean_excess(ellipse, covariance, self._limit)
+
+
+class _CompiledExcess(torch.autograd.Function):
+    """``mean_excess`` for float32 on the CPU, differentiable once, in the covariances."""
+
+    @staticmethod
+    def forward(ctx, metric: Tensor, covariance: Tensor, limit: float) -> Tensor:
+        share_threads()
+        gradient = torch.empty(covariance.shape if ctx.needs_input_grad[1] else (0, 1, 2, 2))
+        sums = np.empty(-(-len(metric) // kernels.CHUNK))
+        arrays = (metric.contiguous().numpy(), covariance.detach().contiguous().numpy())
+        kernels.excess(*arrays, np.float32(limit), np.float32(_TINY), sums, gradient.numpy())
+        ctx.save_for_backward(gradient)
+        ctx.count = covariance.shape[0] * covariance.shape[1]
+        return covariance.new_tensor(sums.sum() / ctx.count)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx, to_value: Tensor) -> tuple[Tensor | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        (gradient,) = ctx.saved_tensors
+        return None, gradient * (to_value / ctx.count), None
+
+
+def mean_excess(
+    metric: Float[Tensor, "f 2 2"], covariance: Float[Tensor, "f k 2 2"], limit: float
+) -> Float[Tensor, ""]:
+    """Mean over Gaussians of what the largest eigenvalue of metric^-1 covariance exceeds the limit by, in torch."""
+    return (_largest_eigenvalue(metric[:, None], covariance) - limit).clamp(min=0).mean()
 
 
 def _largest_eigenvalue(metric: Float[Tensor, "f 1 2 2"], covariance: Float[Tensor, "f k 2 2"]) -> Float[Tensor, "f k"]:

@@ -101,12 +101,5 @@ def _camera(image: SparseImage, camera: SparseCamera, pinhole: Pinhole, path: Pa
             f"{path}: the image is {width}x{height}, its camera in the model {camera.width}x{camera.height}; expected "
             "the same size or the same shape."
         )
-    return Camera(
-        world_to_camera=torch.from_numpy(image.world_to_camera),
-        fx=pinhole.fx,
-        fy=pinhole.fy,
-        cx=pinhole.cx,
-        cy=pinhole.cy,
-        width=camera.width,
-        height=camera.height,
-    ).resized(width, height)
+    whole = pinhole.camera(torch.from_numpy(image.world_to_camera), camera.width, camera.height)
+    return whole.resized(width, height)

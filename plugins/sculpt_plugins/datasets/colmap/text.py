@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from sculpt_framework.errors import DataError
+from sculpt_framework.posed_images.reading import read_text
 from sculpt_plugins.datasets.colmap.lenses import model_of
 from sculpt_plugins.datasets.colmap.model import SparseCamera, SparseImage, checked_camera, pose
 
@@ -65,12 +66,7 @@ def read_points(path: Path) -> Float64[np.ndarray, "n 3"]:
 
 def _lines(path: Path) -> Iterator[tuple[str, str]]:
     """Where each line is, for errors, and its text; comments are left out, blank lines are not."""
-    try:
-        text = path.read_bytes().decode("utf-8-sig")
-    except OSError as error:
-        raise DataError(f"{path}: cannot be read ({error.strerror}).") from None
-    except UnicodeDecodeError:
-        raise DataError(f"{path}: not text; expected a model that COLMAP wrote as text.") from None
+    text = read_text(path, "a model that COLMAP wrote as text")
     for number, line in enumerate(text.splitlines(), start=1):
         if not line.startswith("#"):
             yield f"{path}: line {number}", line.strip()

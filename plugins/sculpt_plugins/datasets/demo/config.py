@@ -9,10 +9,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class DemoConfig(DatasetConfig):
-    """A built-in scene: --data demo, or demo:NAME (blob, dents, thin, double-torus, gaps, machine, flask)."""
+    """A built-in scene: --data demo, or demo:NAME; sculpt-data list has the names."""
 
-    resolution: int = 400
-    """Side of the square images, in pixels."""
+    resolution: int | None = None
+    """Side of the square images, in pixels. Default: as the scene asks, mostly 400."""
     train_views: int = 100
     """Images to learn from."""
     test_views: int = 20

@@ -24,7 +24,7 @@ class DemoDataset(Dataset):
         self.settings = DemoSettings(
             train_views=config.train_views,
             test_views=config.test_views,
-            resolution=config.resolution,
+            resolution=self.item.resolution if config.resolution is None else config.resolution,
             seen_from=config.seen_from,
         )
 

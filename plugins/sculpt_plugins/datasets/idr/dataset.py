@@ -80,13 +80,4 @@ class IdrDataset(Dataset):
 
 
 def _camera(placed: PlacedCamera, width: int, height: int) -> Camera:
-    lens = placed.pinhole
-    return Camera(
-        world_to_camera=torch.from_numpy(placed.world_to_camera),
-        fx=lens.fx,
-        fy=lens.fy,
-        cx=lens.cx,
-        cy=lens.cy,
-        width=width,
-        height=height,
-    )
+    return placed.pinhole.camera(torch.from_numpy(placed.world_to_camera), width, height)

@@ -10,6 +10,7 @@ from rich.text import Text
 
 from sculpt_framework.engine.events import Event
 from sculpt_framework.observers import Observer
+from sculpt_framework.plan.table import plan_table
 from sculpt_plugins.observers.console.config import ConsoleConfig
 from sculpt_plugins.observers.console.wording import (
     duration,
@@ -29,6 +30,10 @@ _MESSAGES = {
     "recovered": "recovered: ",
 }
 """Events that are told in one line, with what the line begins with."""
+
+
+_TABLE_WIDTH = 160
+"""Characters of a table's line where the output is no terminal."""
 
 
 class ConsoleObserver(Observer):
@@ -51,6 +56,8 @@ class ConsoleObserver(Observer):
     def notify(self, event: Event) -> None:
         data = event.data
         match event.event:
+            case "plan":
+                self._say_table(plan_table(data))
             case "run_started":
                 self._say(*start_lines(data))
                 if self._live is not None:
@@ -77,6 +84,14 @@ class ConsoleObserver(Observer):
     def _say(self, *lines: str) -> None:
         for line in lines:
             self._console.print(line)
+
+    def _say_table(self, table: Table) -> None:
+        width = self._console.width
+        if not self._console.is_terminal:
+            # Nobody's window: lines in a file need no breaking.
+            self._console.width = _TABLE_WIDTH
+        self._console.print(table)
+        self._console.width = width
 
     def _step(self, event: Event) -> None:
         if event.t_wall < self._next_step:

@@ -19,6 +19,12 @@ class ViserConfig(ObserverConfig):
     seconds: float = 2.0
     """Least seconds between two updates of the scene, while a browser looks."""
 
+    def check(self) -> None:
+        """Raise ConfigError if the page cannot be offered at ``host`` and ``port``."""
+        from sculpt_framework.viewing.address import check_address
+
+        check_address(self.host, self.port, "--observers.viser.port")
+
     def build(self, run_dir: Path) -> "ViserObserver":
         from sculpt_plugins.observers.viser.observer import ViserObserver
 

@@ -23,7 +23,6 @@ from sculpt_framework.errors import ConfigError, SculptError
 from sculpt_framework.observers import SteeringObserver
 from sculpt_framework.registry import name_of
 from sculpt_framework.serialization import read_config
-from sculpt_framework.viewing.address import check_address
 from sculpt_framework.viewing.frames import FOLDER, LIVE, step_path, write_frame
 from sculpt_plugins.observers.viser.config import ViserConfig
 
@@ -47,7 +46,7 @@ class ViserObserver(SteeringObserver):
     """Starts the viewer's process. Raises ConfigError if the page cannot be offered where it is asked for."""
 
     def __init__(self, config: ViserConfig, run_dir: Path):
-        check_address(config.host, config.port, "--observers.viser.port")
+        config.check()
         _require_recorder(run_dir)
         self._config = config
         self._run_dir = run_dir

@@ -1,0 +1,285 @@
+"""What the parts of an outer step take in one process and in several, and whether the cost model foretells the latter.
+
+    python docs/measure_scaling.py DATA [--processes 2] [--steps 12] [--method METHOD] [--json FILE] [-- OPTIONS]
+
+DATA and OPTIONS are as for sculpt-train. Three runs of a few steps, each process with one thread (OMP_NUM_THREADS says
+otherwise): one process with a view per inner step, one process with as many as there will be processes, and the
+processes. The model is made of the first two and held against the third. The tables of docs/scaling.md are its output.
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+WARM_UP_STEPS = 3
+"""Outer steps that are not counted: compiling, and first touches of memory."""
+VIEW_PARTS = ("render", "loss", "backward of views")
+"""Shared among processes; everything else each process does for itself."""
+PARTS = (
+    *VIEW_PARTS,
+    "colours and places",
+    "constraints",
+    "field",
+    "extraction",
+    "geometry terms",
+    "backward of the surface",
+    "update",
+    "sum over processes",
+    "agreement",
+    "rest",
+)
+Run = dict[str, Any]
+
+
+class Stopwatch:
+    """Seconds by part, while it is on; of calls within calls the inner ones have their own."""
+
+    def __init__(self, wait: Callable[[], None]) -> None:
+        """``wait`` returns when the device has done what it was told."""
+        self.on = False
+        self._wait = wait
+        self.seconds = dict.fromkeys(PARTS, 0.0)
+        self.calls = dict.fromkeys(PARTS, 0)
+        self._since = 0.0
+        self._stack: list[str] = []
+
+    @contextmanager
+    def of(self, part: str) -> Iterator[None]:
+        self._note()
+        self._stack.append(part)
+        try:
+            yield
+        finally:
+            self._note()
+            self._stack.pop()
+            if self.on:
+                self.calls[part] += 1
+
+    def _note(self) -> None:
+        if self.on:
+            self._wait()
+        now = time.perf_counter()
+        if self.on and self._stack:
+            self.seconds[self._stack[-1]] += now - self._since
+        self._since = now
+
+    def wrap(self, owner: Any, name: str, part: str) -> None:
+        whole = getattr(owner, name)
+
+        def timed(*words: Any, **named: Any) -> Any:
+            with self.of(part):
+                return whole(*words, **named)
+
+        setattr(owner, name, timed)
+
+
+def main() -> None:
+    words = sys.argv[1:]
+    own, extra = (words[: words.index("--")], words[words.index("--") + 1 :]) if "--" in words else (words, [])
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("data")
+    parser.add_argument("--method", default="gaussian-sculpting")
+    parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--steps", type=int, default=12)
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--batch", type=int, help=argparse.SUPPRESS)
+    parser.add_argument("--out", type=Path, help=argparse.SUPPRESS)
+    request = parser.parse_args(own)
+    if request.out is not None:
+        measure(request, extra)
+        return
+    count = request.processes
+    with tempfile.TemporaryDirectory() as folder:
+        kinds = ((1, 1), (1, count), (count, count))
+        runs = [start(request, extra, n, batch, Path(folder) / f"{n}-{batch}") for n, batch in kinds]
+    foretold = foretell(*runs[:2], processes=count, per_sum=runs[2]["seconds_per_sum"])
+    if request.json is not None:
+        request.json.write_text(json.dumps({"runs": runs, "foretold": foretold}, indent=1))
+    sys.stdout.write(report(runs, foretold))
+
+
+def start(request: argparse.Namespace, extra: list[str], count: int, batch: int, out: Path) -> Run:
+    """What the first of so many processes measured."""
+    launcher = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", str(count)] if count > 1 else []
+    own = [request.data, "--method", request.method, "--steps", str(request.steps), "--batch", str(batch)]
+    command = [sys.executable, *launcher, __file__, *own, "--out", str(out), "--", *extra]
+    threads = os.environ.get("OMP_NUM_THREADS", "1")
+    environment = {**os.environ, "OMP_NUM_THREADS": threads, "NUMBA_NUM_THREADS": threads}
+    subprocess.run(command, env=environment, check=True)
+    return json.loads(out.read_text())
+
+
+def measure(request: argparse.Namespace, extra: list[str]) -> None:
+    """The few steps, in this process, beside others if torchrun has started them."""
+    import torch
+
+    from sculpt_framework.cli.train import parse
+    from sculpt_framework.engine.assembly import pick_device
+    from sculpt_framework.engine.parallel import gather
+    from sculpt_framework.engine.pipeline import Pipeline
+
+    config = parse([request.method, "--data", request.data, *extra])
+    steps = WARM_UP_STEPS + request.steps
+    trainer = replace(config.trainer, outer_steps=steps, polish_steps=0, inner_batch=request.batch)
+    config = replace(config, observers=(), trainer=trainer)
+    processes = gather(os.environ, pick_device(config.device))
+    scene = processes.in_turn(lambda: config.dataset.build(config.data).load())
+    pipeline = Pipeline(config, scene=scene, processes=processes)
+    on_gpu = pipeline.parts.device.type == "cuda"
+    watch = Stopwatch(torch.cuda.synchronize if on_gpu else lambda: None)
+    notes = {"bytes": 0, "sums": 0, "steps": 0, "seconds": 0.0}
+    watch_parts(watch, pipeline, notes)
+    pipeline.train()
+    # The pipeline has let go of the others; what is left to do is done with them.
+    per_sum = seconds_per_sum(processes, notes["bytes"] // max(1, notes["sums"]), pipeline.parts.device)
+    if processes.leads:
+        stage = config.trainer.stages[-1]
+        told = {
+            "processes": processes.count,
+            "batch": request.batch,
+            "inner_views": stage.inner_steps,
+            "outer_views": stage.outer_views,
+            "seconds": {part: value / notes["steps"] for part, value in watch.seconds.items()},
+            "step": notes["seconds"] / notes["steps"],
+            "bytes": notes["bytes"] / notes["steps"],
+            "sums": notes["sums"] / notes["steps"],
+            "seconds_per_sum": per_sum,
+        }
+        request.out.write_text(json.dumps(told))
+    processes.close()
+
+
+def watch_parts(watch: Stopwatch, pipeline: Any, notes: dict[str, Any]) -> None:
+    """Have the parts of the pipeline's outer steps timed."""
+    import torch
+
+    from sculpt_framework.keyed import KeyedTable
+
+    trainer = pipeline.parts.trainer
+    for owner, name, part in (
+        (trainer, "_render", "render"),
+        (trainer, "extract", "extraction"),
+        (trainer, "signed_distance", "field"),
+        (trainer.scene, "bind", "colours and places"),
+        (trainer.scene, "harmonics", "colours and places"),
+        (trainer.scene, "follow", "colours and places"),
+        (trainer.scene, "step", "update"),
+        (trainer.optimizer, "step", "update"),
+        (KeyedTable, "step", "update"),
+        (trainer.processes, "first", "agreement"),
+        (trainer.processes, "require_same", "agreement"),
+        (torch.Tensor, "backward", "backward of views"),
+    ):
+        watch.wrap(owner, name, part)
+    terms = trainer.objectives
+    for kind in {type(each.term) for each in (*terms.images, *terms.silhouettes)}:
+        watch.wrap(kind, "__call__", "loss")
+    for kind in {type(each.term) for each in terms.geometry}:
+        watch.wrap(kind, "__call__", "geometry terms")
+    for kind in {type(each.term) for each in terms.constraints}:
+        watch.wrap(kind, "__call__", "constraints")
+    walk, add = torch.autograd.backward, trainer.processes.reduce
+
+    def walk_surface(tensors: Any, *words: Any, **named: Any) -> None:
+        if not isinstance(tensors, list):  # a view's, which is timed by the tensor's own method
+            return walk(tensors, *words, **named)
+        with watch.of("backward of the surface"):
+            return walk(tensors, *words, **named)
+
+    def reduce(parameters: Any, values: Any) -> Any:
+        if watch.on:
+            notes["bytes"] += 4 * sum(parameter.numel() for parameter in parameters)
+            notes["sums"] += 1
+        with watch.of("sum over processes"):
+            return add(parameters, values)
+
+    torch.autograd.backward, trainer.processes.reduce = walk_surface, reduce
+    watch_steps(watch, trainer, notes)
+
+
+def watch_steps(watch: Stopwatch, trainer: Any, notes: dict[str, Any]) -> None:
+    whole: Callable[..., Any] = trainer.outer_step
+    taken = [0]
+
+    def outer_step(*words: Any) -> Any:
+        taken[0] += 1
+        watch.on = taken[0] > WARM_UP_STEPS
+        began = time.perf_counter()
+        with watch.of("rest"):
+            done = whole(*words)
+        if watch.on:
+            notes["seconds"] += time.perf_counter() - began
+            notes["steps"] += 1
+        watch.on = False
+        return done
+
+    trainer.outer_step = outer_step
+
+
+def seconds_per_sum(processes: Any, size: int, device: Any) -> float:
+    """Median seconds to add up so many bytes over the processes, with nothing else to do."""
+    import torch
+
+    values = torch.zeros(max(1, size // 4), device=device)
+    took = []
+    for _ in range(15):
+        values.grad = torch.ones_like(values)
+        began = time.perf_counter()
+        processes.reduce([values], {})
+        if device.type == "cuda":
+            torch.cuda.synchronize()
+        took.append(time.perf_counter() - began)
+    return sorted(took)[len(took) // 2]
+
+
+def foretell(one: Run, batched: Run, *, processes: int, per_sum: float) -> dict[str, float]:
+    """Seconds of the parts of an outer step of so many processes, from one process without and with batches.
+
+    ``one`` and ``batched`` render the same views; their inner steps are as many as views, and by ``processes`` fewer.
+    What differs between their backward passes is therefore what an inner step costs besides its views.
+    """
+    inner, outer = one["inner_views"], one["outer_views"]
+    steps = -(-inner // processes)
+    saved = one["seconds"]["backward of views"] - batched["seconds"]["backward of views"]
+    per_step = max(0.0, saved / (inner - steps)) if inner > steps else 0.0
+    share = (steps + -(-outer // processes)) / (inner + outer)
+    out = dict(batched["seconds"])
+    for part in VIEW_PARTS:
+        fixed = per_step * steps if part == "backward of views" else 0.0
+        out[part] = fixed + (batched["seconds"][part] - fixed) * share
+    out["sum over processes"] = (steps + 1) * per_sum
+    return out
+
+
+def report(runs: list[Run], foretold: dict[str, float]) -> str:
+    """The parts side by side, and the verdict."""
+    one, batched, several = runs
+    several_views, many = f"1, {batched['batch']} views a step", f"{several['processes']} processes"
+    heads = ("part, ms per outer step", "1 process", several_views, many, "foretold")
+    lines = [f"| {' | '.join(heads)} |", "|---|---|---|---|---|"]
+    for part in PARTS:
+        row = (*(run["seconds"][part] for run in runs), foretold[part])
+        lines.append(f"| {part} | {' | '.join(f'{1e3 * value:.1f}' for value in row)} |")
+    totals = (*(run["step"] for run in runs), sum(foretold.values()))
+    lines.append(f"| **step** | {' | '.join(f'**{1e3 * value:.1f}**' for value in totals)} |")
+    ratio, told = several["step"] / one["step"], totals[3] / several["step"]
+    lines += [
+        "",
+        f"Wall time per view: {ratio:.2f} x that of one process. Foretold / measured: {told:.2f}.",
+        f"Added up per step: {several['bytes'] / 1e6:.2f} MB in {several['sums']:.0f} sums; "
+        f"{1e3 * several['seconds_per_sum']:.2f} ms for one of the mean size with nothing else to do.",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    main()

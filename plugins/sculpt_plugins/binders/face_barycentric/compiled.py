@@ -1,0 +1,120 @@
+"""Binding in compiled kernels, for float32 on the CPU."""
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from sculpt_framework.binders import Binding
+from sculpt_framework.cpu_kernels import kernel_cache, share_threads
+from sculpt_framework.types import Surface
+from sculpt_plugins.binders.face_barycentric.in_torch import Manner
+from sculpt_plugins.binders.face_barycentric.outline import log_density
+
+with kernel_cache("face-barycentric", Path(__file__).parent):
+    from sculpt_plugins.binders.face_barycentric import backward, forward, triples
+
+
+def runs_compiled(surface: Surface, rows: Mapping[str, Tensor]) -> bool:
+    """Whether there are kernels for these tensors."""
+    tensors = (surface.vertices, *rows.values())
+    return all(tensor.dtype == torch.float32 and tensor.device.type == "cpu" for tensor in tensors)
+
+
+def bind_compiled(
+    surface: Surface, rows: Mapping[str, Tensor], opacities: Float[Tensor, "f k"], manner: Manner
+) -> Binding:
+    """As ``bind_in_torch``; not differentiable twice. The same bits from run to run, for any number of threads."""
+    logits, log_ratios, rotation = rows["barycentric_logits"], rows["log_ratios"], rows.get("rotation")
+    means, scales, rotations, barycentrics, covariance, corners = _Bind.apply(
+        surface.vertices, logits, log_ratios, rotation, surface.faces, manner
+    )
+    return Binding(
+        means=means,
+        scales=scales,
+        rotations=rotations,
+        opacities=opacities,
+        barycentrics=barycentrics,
+        tangent_covariance=covariance,
+        tangent_corners=corners,
+    )
+
+
+class _Bind(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, vertices, logits, log_ratios, rotation, faces, manner: Manner):
+        share_threads()
+        count, per_face = logits.shape[:2]
+        relief = manner.relief
+        outline = [
+            np.zeros(0, np.float32).reshape(shape) for shape in ((3, 3, 0), (3, 0), (3, 0), (3, 0), (3, 2, 0), 0)
+        ]
+        if relief is not None:
+            fitted = (relief.outward, relief.heights, relief.cosine, relief.sine, relief.reach, relief.thickness)
+            outline = [_array(tensor) for tensor in fitted]
+        outward, heights, cosine, sine, reach, thickness = outline
+        mixing = np.empty((count, per_face, 4), np.float32)
+        squares = np.empty(-(-count // triples.CHUNK))
+        forward.mix(_array(log_ratios), _turns(rotation), reach, mixing, squares)
+        density = 0.0
+        if relief is not None:
+            variance = float(squares.sum()) / (3 * count * per_face)
+            density = log_density(relief, variance, per_face, math.hypot(manner.blur, manner.normal_scale), manner.blur)
+        means, scales, barycentrics = (torch.empty(count, per_face, 3) for _ in range(3))
+        rotations, covariance = torch.empty(count, per_face, 3, 3), torch.empty(count, per_face, 2, 2)
+        corners = torch.empty(count, 3, 2)
+        fitted = 0 if relief is None else count
+        depth, trims = np.empty(fitted, np.float32), np.empty((fitted, per_face, 3), np.float32)
+        forward.place(
+            _array(vertices), _array(faces), _array(logits), mixing, manner.reference == "steiner",
+            np.float32(manner.normal_scale), np.float32(manner.blur),
+            outward, heights, cosine, sine, reach, thickness, _array(manner.depths.float()), density,
+            means.numpy(), scales.numpy(), rotations.numpy(), barycentrics.numpy(), covariance.numpy(), corners.numpy(),
+            depth, trims,
+        )  # fmt: skip
+        ctx.save_for_backward(vertices, faces, rotation, barycentrics, scales, rotations)
+        ctx.steiner, ctx.mixing, ctx.depth, ctx.trims = manner.reference == "steiner", mixing, depth, trims
+        ctx.set_materialize_grads(False)
+        if not ctx.needs_input_grad[0]:
+            ctx.mark_non_differentiable(corners)
+        return means, scales, rotations, barycentrics, covariance, corners
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx, *to_outputs):  # pyright: ignore[reportIncompatibleMethodOverride]
+        vertices, faces, rotation, barycentrics, scales, rotations = ctx.saved_tensors
+        share_threads()
+        gradients = [
+            np.zeros((0,) * dimensions, np.float32) if gradient is None else _array(gradient)
+            for gradient, dimensions in zip(to_outputs, (3, 3, 4, 3, 4, 3), strict=True)
+        ]
+        to_means, to_scales, to_rotations, to_barycentrics, to_covariance, to_flat_corners = gradients
+        count, per_face = barycentrics.shape[:2]
+        to_logits, to_log_ratios = torch.empty(count, per_face, 3), torch.empty(count, per_face, 2)
+        to_rotation = None if rotation is None else torch.empty(count, per_face)
+        to_corners = np.empty((count if ctx.needs_input_grad[0] else 0, 3, 3), np.float32)
+        backward.place_backward(
+            _array(vertices), _array(faces), ctx.steiner, ctx.mixing, ctx.trims, ctx.depth,
+            _array(barycentrics), _array(scales), _array(rotations),
+            to_means, to_scales, to_rotations, to_barycentrics, to_covariance, to_flat_corners,
+            to_logits.numpy(), to_log_ratios.numpy(), _turns(to_rotation), to_corners,
+        )  # fmt: skip
+        to_vertices = None
+        if ctx.needs_input_grad[0]:
+            to_vertices = torch.zeros(vertices.shape)
+            backward.gather(_array(faces), to_corners, to_vertices.numpy())
+        return to_vertices, to_logits, to_log_ratios, to_rotation, None, None
+
+
+def _array(tensor: Tensor) -> np.ndarray:
+    return tensor.detach().contiguous().numpy()
+
+
+def _turns(rotation: Tensor | None) -> np.ndarray:
+    """In-plane angles, or an array without entries where Gaussians do not turn."""
+    return np.zeros((0, 0), np.float32) if rotation is None else _array(rotation)

@@ -1,0 +1,1 @@
+"""One reconstruction per scene of a list, on this machine or on a cluster."""

@@ -1,0 +1,59 @@
+"""What a scheduler calls on the machine it has chosen: start the run's process there and see it through."""
+
+import os
+import signal
+import subprocess
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+
+from sculpt_framework.experiments.engine import start_process
+from sculpt_framework.leash import die_with_parent
+
+GRACE_SECONDS = 25.0
+"""How long an interrupted run may take to save: Slurm kills 30 s after it has asked."""
+
+
+def carry(command: Sequence[str], log: str, environment: Mapping[str, str]) -> int:
+    """Run the command until it ends and return its exit code.
+
+    Being asked to end (SIGTERM, KeyboardInterrupt) is passed on to the run as Ctrl-C, so that it saves. If this process
+    is killed, so is the run. Raises OutputError where the log cannot be written.
+    """
+    die_with_parent()
+    with _terminate_as_interrupt():
+        process = start_process(command, Path(log), {**os.environ, **environment})
+        try:
+            return process.wait()
+        except KeyboardInterrupt:
+            process.send_signal(signal.SIGINT)
+            return _wait_or_kill(process)
+        finally:
+            if process.poll() is None:
+                process.kill()
+                process.wait()
+
+
+def _wait_or_kill(process: subprocess.Popen[bytes]) -> int:
+    try:
+        return process.wait(GRACE_SECONDS)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        return process.wait()
+
+
+@contextmanager
+def _terminate_as_interrupt() -> Iterator[None]:
+    def handle(number: int, frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    previous = signal.signal(signal.SIGTERM, handle)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, previous)

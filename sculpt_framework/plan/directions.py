@@ -1,0 +1,169 @@
+"""How much the colours of places on the object change with the direction they are seen from.
+
+Places are points of a coarse visual hull, their colours those of reduced images. Where the hull is not the surface, or
+texture is finer than a reduced pixel, views disagree too, but as often by darker colours as by brighter ones, while a
+highlight adds to all three channels. So what counts is by how much more a place brightens than it darkens.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+from torch.nn import functional
+
+from sculpt_framework.extractors import SdfFunction
+from sculpt_framework.shape_from_images.hull import visual_hull
+from sculpt_framework.types import Box, Camera, View
+
+_CELLS = 40
+"""Of the grid the hull is tabulated on, along each axis of [-1, 1]."""
+_HULL_VIEWS = 40
+_COLOR_VIEWS = 60
+_PIXELS = 64
+"""Along the longer side of the reduced images."""
+_HULL_PIXELS = 96
+_POINTS = 1200
+_LEAST = 8
+"""Views that must see a point."""
+_LEAST_POINTS = 50
+_FACING = 0.35
+"""Cosine of the steepest angle under which a point is looked at."""
+_STEPS = 12
+"""Places on the way to a camera where the hull may be in between."""
+_TAIL = 0.9
+"""Quantile over a point's views: a highlight is seen by few of them."""
+_AMONG_POINTS = 0.75
+"""Quantile over the points: no highlight is everywhere."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gloss:
+    strength: float
+    """How much brighter than usual, in [0, 1], a place gets in a tenth of the views that see it, less how much darker
+    it gets in a tenth; of the place at three quarters of them all."""
+    points: int
+    """Places that were looked at."""
+
+
+def gloss(views: Sequence[View], box: Box) -> Gloss | None:
+    """None where it cannot be told: too few masks, or too few points seen by enough views."""
+    masked = [view for view in views if view.alpha is not None and bool((view.alpha > 0.5).any())]
+    if len(masked) < _LEAST:
+        return None
+    posed = [replace(view, camera=box.camera_to_object(view.camera)) for view in masked]
+    small = [_reduced(view, _HULL_PIXELS) for view in spread(posed, _HULL_VIEWS)]
+    volume = _tabulated(visual_hull(small, _HULL_VIEWS, torch.device("cpu")))
+    points, normals = _surface_points(volume)
+    seen, colors = [], []
+    for view in spread(posed, _COLOR_VIEWS):
+        picture = _reduced(view, _PIXELS)
+        color, whole = _look_up(picture, points)
+        place = picture.camera.position.float()
+        facing = (functional.normalize(place - points, dim=1) * normals).sum(dim=1) > _FACING
+        seen.append(facing & whole & _free(volume, points, normals, place))
+        colors.append(color)
+    return brightening(torch.stack(seen, 1), torch.stack(colors, 1))
+
+
+def brightening(seen: Bool[Tensor, "n v"], colors: Float[Tensor, "n v 3"]) -> Gloss | None:
+    """Of n places in v views: ``gloss`` from colours alone. None where too few places are seen often enough."""
+    enough = seen.sum(dim=1) >= _LEAST
+    if int(enough.sum()) < _LEAST_POINTS:
+        return None
+    seen, colors = seen[enough], colors[enough]
+    usual = torch.where(seen[..., None], colors, torch.nan).nanmedian(dim=1, keepdim=True).values
+    change = colors - usual
+    tails = []
+    for sign in (1.0, -1.0):
+        # The least of the channels: what all of them have in common.
+        common = torch.where(seen, (sign * change).amin(dim=2).clamp(min=0), torch.nan)
+        tails.append(common.nanquantile(_TAIL, dim=1))
+    return Gloss(strength=float((tails[0] - tails[1]).quantile(_AMONG_POINTS)), points=len(seen))
+
+
+def spread(views: Sequence[View], count: int) -> list[View]:
+    """At most ``count`` of the views, evenly over the list."""
+    if len(views) <= count:
+        return list(views)
+    return [views[index] for index in np.linspace(0, len(views) - 1, count).round().astype(int)]
+
+
+def _reduced(view: View, pixels: int) -> View:
+    camera = view.camera
+    factor = min(1.0, pixels / max(camera.width, camera.height))
+    width, height = max(2, round(camera.width * factor)), max(2, round(camera.height * factor))
+    alpha = view.alpha
+    assert alpha is not None, "only views with masks get here"  # noqa: S101
+    both = torch.cat([view.rgb * alpha[..., None], alpha[..., None]], dim=2).float().numpy()
+    small = torch.from_numpy(np.asarray(cv2.resize(both, (width, height), interpolation=cv2.INTER_AREA)))
+    rgb = small[..., :3] / small[..., 3:].clamp(min=1e-3)
+    camera = camera.resized(width, height).to(torch.device("cpu"), torch.float32)
+    return View(name=view.name, camera=camera, rgb=rgb, alpha=small[..., 3])
+
+
+def _tabulated(hull: SdfFunction) -> Float[Tensor, "x y z"]:
+    axis = torch.linspace(-1.05, 1.05, _CELLS)
+    grid = torch.stack(torch.meshgrid(axis, axis, axis, indexing="ij"), dim=-1).reshape(-1, 3)
+    return hull(grid).reshape(_CELLS, _CELLS, _CELLS)
+
+
+def _value(volume: Float[Tensor, "x y z"], points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
+    where = (points / 1.05).flip(1)[None, None, None]
+    return functional.grid_sample(volume[None, None], where, padding_mode="border", align_corners=True)[0, 0, 0, 0]
+
+
+def _surface_points(volume: Float[Tensor, "x y z"]) -> tuple[Float[Tensor, "n 3"], Float[Tensor, "n 3"]]:
+    """Points on the hull, spread over it, and outward normals."""
+    cell = 2.1 / (_CELLS - 1)
+    near = (volume.abs() < cell).nonzero()
+    generator = torch.Generator().manual_seed(0)
+    near = near[torch.randperm(len(near), generator=generator)[:_POINTS]]
+    points = -1.05 + near.float() * cell
+    normals = _gradient(volume, points, cell)
+    for _ in range(3):
+        points = points - _value(volume, points)[:, None].clamp(-cell, cell) * normals
+        normals = _gradient(volume, points, cell)
+    good = (_value(volume, points).abs() < 0.2 * cell) & (normals.norm(dim=1) > 0.5)
+    return points[good], normals[good]
+
+
+def _gradient(volume: Float[Tensor, "x y z"], points: Float[Tensor, "n 3"], step: float) -> Float[Tensor, "n 3"]:
+    offsets = step * torch.eye(3)
+    slopes = [_value(volume, points + offset) - _value(volume, points - offset) for offset in offsets]
+    return functional.normalize(torch.stack(slopes, dim=1), dim=1)
+
+
+def _free(
+    volume: Float[Tensor, "x y z"],
+    points: Float[Tensor, "n 3"],
+    normals: Float[Tensor, "n 3"],
+    camera: Float[Tensor, " 3"],
+) -> Bool[Tensor, " n"]:
+    """Whether nothing of the hull is between the points and the camera."""
+    cell = 2.1 / (_CELLS - 1)
+    start = points + 1.5 * cell * normals
+    way = functional.normalize(camera - start, dim=1)
+    free = torch.ones(len(points), dtype=torch.bool)
+    for step in torch.linspace(0.0, 2.0, _STEPS).tolist():
+        at = start + step * way
+        outside = at.abs().amax(dim=1) > 1.05
+        free &= outside | (_value(volume, at) > 0)
+    return free
+
+
+def _look_up(view: View, points: Float[Tensor, "n 3"]) -> tuple[Float[Tensor, "n 3"], Bool[Tensor, " n"]]:
+    """Colours where the points are seen, and whether all pixels around are the object's."""
+    camera: Camera = view.camera
+    local = points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
+    depth = local[:, 2].clamp(min=1e-6)
+    x = 2 * (camera.fx * local[:, 0] / depth + camera.cx) / camera.width - 1
+    y = 2 * (camera.fy * local[:, 1] / depth + camera.cy) / camera.height - 1
+    where = torch.stack([x, y], dim=1)[None, None]
+    assert view.alpha is not None  # noqa: S101
+    image = torch.cat([view.rgb, view.alpha[..., None]], dim=2).permute(2, 0, 1)[None]
+    found = functional.grid_sample(image, where, padding_mode="zeros", align_corners=False)[0, :, 0].T
+    return found[:, :3], (local[:, 2] > 0) & (found[:, 3] > 0.98)

@@ -1,0 +1,43 @@
+"""Options of components by name, whatever the component: the plan knows options, no classes."""
+
+from collections.abc import Sequence
+from dataclasses import fields, replace
+from typing import Any
+
+from sculpt_framework.config import ComponentConfig, MethodConfig, TrainerConfig
+from sculpt_framework.registry import SLOTS, name_of
+
+Settings = ComponentConfig | TrainerConfig
+
+
+def has_option(settings: Settings, option: str) -> bool:
+    return option in (each.name for each in fields(settings))
+
+
+def option_of(settings: Settings, option: str) -> Any:
+    """Its value; None where the component has no such option."""
+    return getattr(settings, option) if has_option(settings, option) else None
+
+
+def with_options(config: MethodConfig, slot: str, **options: object) -> MethodConfig:
+    """The config with other values for options of a component, or of the trainer, that has them."""
+    return replace(config, **{slot: replace(getattr(config, slot), **options)})
+
+
+def without(config: MethodConfig, slot: str, names: Sequence[str]) -> MethodConfig:
+    """The config without some components of a slot that takes many."""
+    return replace(config, **{slot: tuple(each for each in getattr(config, slot) if name_of(each) not in names)})
+
+
+def set_by_hand(config: MethodConfig, own: MethodConfig, paths: Sequence[str]) -> str | None:
+    """The first of the paths (``slot``, ``slot.option``) whose value is not the method's own, as an option."""
+    for path in paths:
+        slot, _, option = path.partition(".")
+        mine, theirs = getattr(config, slot), getattr(own, slot)
+        if option:
+            mine, theirs = option_of(mine, option), option_of(theirs, option)
+        elif slot in SLOTS and not SLOTS[slot].many:
+            mine, theirs = name_of(mine), name_of(theirs)
+        if mine != theirs:
+            return f"--{path.replace('_', '-')}"
+    return None

@@ -1,0 +1,333 @@
+"""From evidence to decisions: one pure function per item.
+
+A rule is given the config as decided so far, and says what it would do and why. It changes options of components by
+name, and only where the component has them; whether it may (``--plan.ITEM``, what the user has set) is not its matter.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+from sculpt_framework import registry
+from sculpt_framework.config import InitializerConfig, MethodConfig
+from sculpt_framework.plan.evidence import Evidence
+from sculpt_framework.plan.options import has_option, option_of, with_options, without
+from sculpt_framework.registry import name_of
+
+HULLS = ("visual-hull", "photo-hull")
+SILHOUETTE, STEREO, HULL, NO_MASKS = "silhouette", "photo-hull", "visual-hull", "sphere"
+BETWEEN_GAUSSIANS = ("spacing", "coverage")
+"""Constraints that are constant where a face has one Gaussian."""
+ON_PLACES = ("mee-scale", "boundary", *BETWEEN_GAUSSIANS)
+"""Constraints that act on nothing but where Gaussians lie on their faces and how large they are."""
+
+SPEAKING_LEAST = 0.02
+"""Share of the object that stereo must be able to tell apart: below, depths are found in specks only."""
+CELL_PIXELS_LEAST = 1.0
+"""A cell narrower than a pixel is more than the images can tell."""
+CELL_PIXELS_MOST, CELL_PIXELS_AIM = 4.0, 2.0
+"""Images in which a cell is wider than the first are reduced until it is as wide as the second."""
+THIN_CELLS = 3.0
+"""Cells that the thinnest part must keep across when the finest level is left out."""
+UNEVEN = 2.0
+"""Ratio of pixel widths on the object from which larger cells, where the images show less, are worth their trouble."""
+GLOSS_LEAST, GLOSS_MUCH = 0.05, 0.1
+FINE_TEXTURE = 0.02
+"""Root mean square of brightness, in [0, 1], below which texture is not worth a Gaussian or a step of its own."""
+PLAIN_TEXTURE = 0.004
+GAUSSIAN_PIXELS = 2.5
+"""Area in pixels that a Gaussian needs to have a colour of its own."""
+GAUSSIANS_MOST = 4
+PLACE_PIXELS = 2.5
+"""Width of a face, in pixels, from which the images can tell where on it a Gaussian lies."""
+FACE_SHARE = 0.7
+"""Width of a face as a share of its cell's: two triangles for a square."""
+REST_AFTER = 20
+POLISH_GAIN_DB = 0.02
+ACTIVE_EVERY = 60
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ruling:
+    """What a rule would do."""
+
+    config: MethodConfig
+    """As it is to be; equal to what was given where nothing is left out."""
+    value: str
+    evidence: str
+    measured: Mapping[str, float] = field(default_factory=dict)
+    saves: str | None = None
+    spared: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rule:
+    item: str
+    """Field of PlanConfig."""
+    touches: Sequence[str]
+    """What of the config it may change; if the user has set any of it, the item is the user's."""
+    decide: Callable[[MethodConfig, Evidence], Ruling]
+
+
+def silhouette(config: MethodConfig, evidence: Evidence) -> Ruling:
+    measured = {"masked": float(evidence.masked), "views": float(evidence.views)}
+    if evidence.masked:
+        why = f"{evidence.masked} of {evidence.views} views have an alpha"
+        return Ruling(config=config, value="used", evidence=why, measured=measured)
+    decided = without(config, "losses", [SILHOUETTE])
+    value, saves = "no silhouette loss", "the loss"
+    if name_of(config.initializer) in HULLS:
+        start = registry.default("initializer", NO_MASKS)
+        assert isinstance(start, InitializerConfig)  # noqa: S101
+        decided = replace(decided, initializer=start)
+        value, saves = f"no silhouette loss; start from a {NO_MASKS} in the cameras' box", "the loss and the hull"
+    why = f"0 of {evidence.views} views have an alpha, and no constant background was found to make one"
+    return Ruling(config=decided, value=value, evidence=why, measured=measured, saves=saves)
+
+
+def stereo(config: MethodConfig, evidence: Evidence) -> Ruling:
+    measured = {"speaking": evidence.speaking}
+    why = f"{100 * evidence.speaking:.1f} % of the object can be told apart from its surroundings in brightness"
+    if name_of(config.initializer) != STEREO or evidence.speaking >= SPEAKING_LEAST:
+        return Ruling(config=config, value="as the method starts", evidence=why, measured=measured)
+    start = registry.default("initializer", HULL)
+    assert isinstance(start, InitializerConfig)  # noqa: S101
+    views, maps = option_of(config.initializer, "max_views"), option_of(config.initializer, "maps")
+    if has_option(start, "max_views") and views is not None:
+        start = replace(start, **{"max_views": views})
+    spared = {"depth maps": float(min(maps or 0, evidence.views))}
+    return Ruling(
+        config=replace(config, initializer=start),
+        value="start from the visual hull alone",
+        evidence=why,
+        measured=measured,
+        saves=f"{spared['depth maps']:.0f} depth maps and their fusion",
+        spared=spared,
+    )
+
+
+def views(config: MethodConfig, evidence: Evidence) -> Ruling:
+    dropped = (*evidence.blind, *(name for name, _ in evidence.repeated))
+    measured = {"blind": float(len(evidence.blind)), "repeated": float(len(evidence.repeated))}
+    why = f"of {evidence.views} views {len(evidence.blind)} show nothing, {len(evidence.repeated)} repeat another"
+    # What is left must still be a scene.
+    if not dropped or evidence.views - len(dropped) < 2:
+        return Ruling(config=config, value="all", evidence=why, measured=measured)
+    megabytes = len(dropped) * evidence.view_megabytes
+    return Ruling(
+        config=replace(config, skip_views=dropped),
+        value=f"{evidence.views - len(dropped)} of {evidence.views}",
+        evidence=why,
+        measured=measured,
+        saves=f"{megabytes:.0f} MB of images",
+        spared={"megabytes": megabytes},
+    )
+
+
+def level(config: MethodConfig, evidence: Evidence) -> Ruling:
+    pixels = cell_pixels(config, evidence)
+    measured = {"cell_pixels": pixels}
+    why = f"the smallest cells are {pixels:.2f} pixels wide in the views that show most"
+    finest, drop = max(stage.level for stage in config.trainer.stages), 0
+    while drop < finest and pixels * 2**drop < CELL_PIXELS_LEAST:
+        wide = pixels * 2 ** (drop + 1)
+        if evidence.thinnest is not None and evidence.thinnest < THIN_CELLS * wide:
+            why += f"; a part is about {evidence.thinnest} pixels thin and keeps level {finest - drop}"
+            measured["thinnest"] = float(evidence.thinnest)
+            break
+        drop += 1
+    if drop == 0:
+        return Ruling(config=config, value=f"level {finest}", evidence=why, measured=measured)
+    stages = tuple(replace(stage, level=min(stage.level, finest - drop)) for stage in config.trainer.stages)
+    share = 100 * (1 - 0.25**drop)
+    return Ruling(
+        config=with_options(config, "trainer", stages=stages),
+        value=f"level {finest - drop} at the finest, not {finest}",
+        evidence=why,
+        measured=measured,
+        saves=f"about {share:.0f} % of cells, faces and Gaussians",
+        spared={"share of faces": 0.01 * share},
+    )
+
+
+def images(config: MethodConfig, evidence: Evidence) -> Ruling:
+    pixels = cell_pixels(config, evidence)
+    why = f"the smallest cells are {pixels:.2f} pixels wide in the views that show most"
+    measured = {"cell_pixels": pixels}
+    lost = evidence.finer_than(pixels / CELL_PIXELS_AIM)
+    if pixels > CELL_PIXELS_MOST:
+        why += f"; reduced to {CELL_PIXELS_AIM:g}, they would lose texture of a contrast of {lost:.3f}"
+        measured["contrast"] = lost
+    if pixels <= CELL_PIXELS_MOST or lost >= FINE_TEXTURE:
+        value = f"cropped to the object, {100 * config.trainer.stages[-1].image_scale:.0f} %"
+        return Ruling(config=config, value=value, evidence=why, measured=measured)
+    factor = CELL_PIXELS_AIM / pixels
+    stages = tuple(
+        replace(stage, image_scale=max(min(stage.image_scale, 0.05), stage.image_scale * factor))
+        for stage in config.trainer.stages
+    )
+    share = 1 - factor * factor
+    return Ruling(
+        config=with_options(config, "trainer", stages=stages),
+        value=f"cropped to the object, {100 * stages[-1].image_scale:.0f} %",
+        evidence=why,
+        measured=measured,
+        saves=f"{100 * share:.0f} % of the pixels",
+        spared={"megabytes": share * 0.5 * evidence.view_megabytes * evidence.views},
+    )
+
+
+def refinement(config: MethodConfig, evidence: Evidence) -> Ruling:
+    ratio = evidence.pixel_worst / evidence.pixel_best
+    why = f"pixels on the object differ in width by {ratio:.2f}"
+    measured = {"ratio": ratio}
+    if ratio < UNEVEN or config.trainer.cell_pixels is not None:
+        return Ruling(config=config, value="cells of one size", evidence=why, measured=measured)
+    return Ruling(
+        config=with_options(config, "trainer", cell_pixels=CELL_PIXELS_LEAST),
+        value=f"no cell narrower than {CELL_PIXELS_LEAST:g} pixel of the view that shows it best",
+        evidence=why,
+        measured=measured,
+        saves="small cells where no view is near",
+    )
+
+
+def sh_degree(config: MethodConfig, evidence: Evidence) -> Ruling:
+    degree = option_of(config.appearance, "sh_degree")
+    if evidence.gloss is None or degree is None:
+        why = "how colours change with the view cannot be told: no masks, or too few views"
+        return Ruling(config=config, value="as the method has it", evidence=why)
+    strength = evidence.gloss.strength
+    wanted = 0 if strength < GLOSS_LEAST else 2 if strength < GLOSS_MUCH else 3
+    why = f"places brighten by {strength:.3f} more than they darken in a tenth of the views"
+    measured = {"gloss": strength, "points": float(evidence.gloss.points)}
+    if wanted == degree:
+        return Ruling(config=config, value=f"degree {degree}", evidence=why, measured=measured)
+    decided = with_options(config, "appearance", sh_degree=wanted)
+    if wanted > 0:
+        # A run is shorter than 3DGS': each degree must have its time.
+        every = min(config.trainer.sh_degree_every, ACTIVE_EVERY)
+        decided = with_options(decided, "trainer", sh_degree_every=every)
+    fewer = (degree + 1) ** 2 - (wanted + 1) ** 2
+    saves = f"{3 * fewer} of {3 * (degree + 1) ** 2} colour numbers per Gaussian" if fewer > 0 else None
+    value = f"degree {wanted}, not {degree}"
+    return Ruling(config=decided, value=value, evidence=why, measured=measured, saves=saves)
+
+
+def gaussians(config: MethodConfig, evidence: Evidence) -> Ruling:
+    count = option_of(config.binder, "gaussians_per_face")
+    face = FACE_SHARE * cell_pixels(config, evidence)
+    fine, area = evidence.finer_than(face), face * face
+    why = f"texture finer than a face ({face:.1f} pixels) has a contrast of {fine:.3f}"
+    measured = {"face_pixels": face, "contrast": fine}
+    wanted = 1 if fine < FINE_TEXTURE else max(1, min(GAUSSIANS_MOST, round(area / GAUSSIAN_PIXELS)))
+    if count is None or count == wanted:
+        return Ruling(config=config, value=f"K = {count}", evidence=why, measured=measured)
+    saves = f"{count - wanted} of {count} Gaussians on each face" if wanted < count else None
+    decided = with_options(config, "binder", gaussians_per_face=wanted)
+    return Ruling(config=decided, value=f"K = {wanted}, not {count}", evidence=why, measured=measured, saves=saves)
+
+
+def places(config: MethodConfig, evidence: Evidence) -> Ruling:
+    learned, count = option_of(config.binder, "places"), option_of(config.binder, "gaussians_per_face")
+    face = FACE_SHARE * cell_pixels(config, evidence)
+    why = f"a face is {face:.1f} pixels wide, and has {count} Gaussian{'' if count == 1 else 's'}"
+    measured = {"face_pixels": face}
+    fixed = learned == "learned" and count == 1 and face < PLACE_PIXELS and config.trainer.gradient_isolation
+    if not fixed or option_of(config.binder, "opacity") == "learnable":
+        return Ruling(config=config, value=str(learned), evidence=why, measured=measured)
+    decided = with_options(config, "binder", places="fixed")
+    decided = without(decided, "constraints", ON_PLACES)
+    return Ruling(
+        config=decided,
+        value="Gaussians stay where their faces put them",
+        evidence=why,
+        measured=measured,
+        saves="their rows and optimiser state, two bindings a step, the constraints on them",
+        spared={"binds per outer step": 1.0 + _inner_binds(config)},
+    )
+
+
+def constraints(config: MethodConfig, evidence: Evidence) -> Ruling:
+    names = [name_of(each) for each in config.constraints]
+    idle = [name for name in names if name in BETWEEN_GAUSSIANS]
+    count = option_of(config.binder, "gaussians_per_face")
+    decided = config
+    if count == 1 and idle:
+        decided = without(decided, "constraints", idle)
+    if decided.constraints and config.trainer.rest_after == 0:
+        decided = with_options(decided, "trainer", rest_after=REST_AFTER)
+    why = f"a face has {count} Gaussian{'' if count == 1 else 's'}"
+    left = ", ".join(name_of(each) for each in decided.constraints) or "none"
+    if decided == config:
+        return Ruling(config=config, value=left, evidence=why, measured={})
+    out = f"{', '.join(idle)}, which are constant" if count == 1 and idle else None
+    value = f"{left}, each until it has done nothing {REST_AFTER} times" if decided.constraints else left
+    return Ruling(config=decided, value=value, evidence=why, measured={"count": float(count or 0)}, saves=out)
+
+
+def inner_steps(config: MethodConfig, evidence: Evidence) -> Ruling:
+    cell = cell_pixels(config, evidence)
+    fine = evidence.finer_than(cell)
+    why = f"texture finer than a cell ({cell:.1f} pixels) has a contrast of {fine:.3f}"
+    measured = {"cell_pixels": cell, "contrast": fine}
+    factor = 1.0 if fine >= 2 * FINE_TEXTURE else 0.5 if fine >= PLAIN_TEXTURE else 0.25
+    trainer = config.trainer
+    stages = tuple(
+        replace(stage, inner_steps=max(1, round(factor * stage.inner_steps))) if stage.inner_steps else stage
+        for stage in trainer.stages
+    )
+    before, after = trainer.stages[-1].inner_steps, stages[-1].inner_steps
+    if stages == trainer.stages or not trainer.warm_start or not trainer.gradient_isolation:
+        return Ruling(config=config, value=f"{before} a step", evidence=why, measured=measured)
+    return Ruling(
+        config=with_options(config, "trainer", stages=stages),
+        value=f"{after} a step, not {before}",
+        evidence=why,
+        measured=measured,
+        saves=f"{before - after} of {before} colour steps",
+        spared={"inner steps per outer step": float(before - after)},
+    )
+
+
+def polish(config: MethodConfig, evidence: Evidence) -> Ruling:
+    trainer = config.trainer
+    why = f"{evidence.views} views; the run has yet to show how long colours improve"
+    if trainer.polish_steps == 0 or trainer.polish_gain_db > 0 or trainer.holdout_every == 0:
+        return Ruling(config=config, value=f"{trainer.polish_steps} steps", evidence=why)
+    return Ruling(
+        config=with_options(config, "trainer", polish_gain_db=POLISH_GAIN_DB),
+        value=f"at most {trainer.polish_steps} steps, until ten gain less than {POLISH_GAIN_DB} dB",
+        evidence=why,
+        measured={"gain_db": POLISH_GAIN_DB},
+        saves="the steps after that",
+    )
+
+
+def cell_pixels(config: MethodConfig, evidence: Evidence) -> float:
+    """Width of the smallest cells in the images of the last stage, in pixels of the views that show most."""
+    last = max(config.trainer.stages, key=lambda stage: stage.level)
+    cell = 2.0 / (config.trainer.base_cells << last.level)
+    return cell / (evidence.pixel_best / last.image_scale)
+
+
+def _inner_binds(config: MethodConfig) -> float:
+    """Bindings in the inner loop of one outer step: one before it, two for each step that learns places."""
+    steps = config.trainer.stages[-1].inner_steps
+    return 2.0 * -(-steps // config.trainer.bind_every)
+
+
+STAGES = "trainer.stages"
+RULES: Sequence[Rule] = (
+    Rule(item="silhouette", touches=("losses", "initializer"), decide=silhouette),
+    Rule(item="stereo", touches=("initializer",), decide=stereo),
+    Rule(item="views", touches=("skip_views",), decide=views),
+    Rule(item="level", touches=(STAGES, "trainer.base_cells"), decide=level),
+    Rule(item="images", touches=(STAGES,), decide=images),
+    Rule(item="refinement", touches=("trainer.cell_pixels", "refine_box"), decide=refinement),
+    Rule(item="sh_degree", touches=("appearance.sh_degree", "trainer.sh_degree_every"), decide=sh_degree),
+    Rule(item="gaussians", touches=("binder", "binder.gaussians_per_face"), decide=gaussians),
+    Rule(item="places", touches=("binder", "binder.places", "constraints"), decide=places),
+    Rule(item="constraints", touches=("constraints", "trainer.rest_after"), decide=constraints),
+    Rule(item="inner_steps", touches=(STAGES,), decide=inner_steps),
+    Rule(item="polish", touches=("trainer.polish_steps", "trainer.polish_gain_db"), decide=polish),
+)

@@ -1,0 +1,175 @@
+"""The binder's compiled kernels in float32 against plain torch in float64."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from sculpt_framework.binders import Binding
+from sculpt_framework.testing import tetrahedron
+from sculpt_framework.types import Surface
+from sculpt_plugins.binders.face_barycentric.config import FaceBarycentricConfig
+from sculpt_plugins.binders.face_barycentric.in_torch import bind_in_torch
+from tests.components.test_binder import triangle_surface
+
+OUTPUTS = ("means", "scales", "rotations", "opacities", "barycentrics", "tangent_covariance", "tangent_corners")
+CONFIGS = [
+    FaceBarycentricConfig(),
+    FaceBarycentricConfig(gaussians_per_face=3, opacity="learnable"),
+    FaceBarycentricConfig(reference="edges", rotation_rate=0.0, fit_outline=False),
+    FaceBarycentricConfig(gaussians_per_face=2, reference="edges"),
+    FaceBarycentricConfig(gaussians_per_face=2, fit_outline=False, rotation_rate=0.0),
+]
+
+
+def _plate() -> Surface:
+    """A thin box: two sides that are near each other, and sharp edges all round."""
+    from trimesh.creation import box
+
+    plate = box((0.8, 0.6, 0.02)).subdivide().subdivide()
+    return Surface(
+        vertices=torch.from_numpy(plate.vertices.copy()).float(),
+        faces=torch.from_numpy(plate.faces.copy()).long(),
+        face_keys=torch.arange(len(plate.faces)),
+    )
+
+
+def _ball() -> Surface:
+    from trimesh.creation import icosphere
+
+    ball = icosphere(3, 0.7)
+    noise = torch.randn(len(ball.vertices), 3, generator=torch.Generator().manual_seed(3))
+    return Surface(
+        vertices=torch.from_numpy(ball.vertices.copy()).float() + 0.005 * noise,
+        faces=torch.from_numpy(ball.faces.copy()).long(),
+        face_keys=torch.arange(len(ball.faces)),
+    )
+
+
+def _slivers() -> Surface:
+    """Faces without area, with one side, and with heights of down to a millionth of their length."""
+    corners = torch.tensor(
+        [
+            [[0.0, 0, 0], [0, 0, 0], [0, 0, 0]],
+            [[0.0, 0, 0], [1, 0, 0], [1, 0, 0]],
+            [[0.0, 0, 0], [1, 0, 0], [2, 0, 0]],
+            [[0.1, 0, 0], [1, 0, 0], [0.5, 1e-3, 0]],
+            [[0.1, 0, 0], [1, 0, 0], [0.5, 1e-6, 0]],
+            [[0.2, 0.1, 0], [0.2, 0.1001, 0], [0.2, 0.1, 1e-4]],
+        ]
+    )
+    return triangle_surface(corners)
+
+
+def _rows(config: FaceBarycentricConfig, surface: Surface) -> dict[str, Tensor]:
+    """Rows as after some training: no two alike."""
+    fresh = config.build().new_rows(len(surface.faces), torch.device("cpu"), torch.float32)
+    generator = torch.Generator().manual_seed(4)
+    return {name: row + 0.2 * torch.randn(row.shape, generator=generator) for name, row in fresh.items()}
+
+
+def _bound(
+    config: FaceBarycentricConfig, surface: Surface, rows: dict[str, Tensor], dtype: torch.dtype, blur: float = 0.005
+) -> tuple[Binding, dict[str, Tensor]]:
+    """The binding, and all gradients of a random weighting of everything in it."""
+    leaves = {"vertices": surface.vertices, **rows}
+    leaves = {name: leaf.to(dtype).clone().requires_grad_(True) for name, leaf in leaves.items()}
+    vertices = leaves["vertices"]
+    binding = config.build().bind(replace(surface, vertices=vertices), leaves_of_rows(leaves), blur=blur)
+    generator = torch.Generator().manual_seed(5)
+    total = vertices.new_zeros(())
+    for name in OUTPUTS:
+        output = getattr(binding, name)
+        total = total + (output * torch.randn(output.shape, dtype=torch.float64, generator=generator).to(dtype)).sum()
+    total.backward()
+    return binding, {name: leaf.grad for name, leaf in leaves.items() if leaf.grad is not None}
+
+
+def leaves_of_rows(leaves: dict[str, Tensor]) -> dict[str, Tensor]:
+    return {name: leaf for name, leaf in leaves.items() if name != "vertices"}
+
+
+@pytest.mark.parametrize("config", CONFIGS)
+@pytest.mark.parametrize("shape", [_plate, _ball, tetrahedron])
+def test_kernels_do_what_torch_does(config: FaceBarycentricConfig, shape: Callable[[], Surface]):
+    surface = replace(shape(), vertices=shape().vertices.float())
+    rows = _rows(config, surface)
+    expected, expected_gradients = _bound(config, surface, rows, torch.float64)
+    binding, gradients = _bound(config, surface, rows, torch.float32)
+    for name in OUTPUTS:
+        value, twin = getattr(binding, name).detach(), getattr(expected, name).detach()
+        assert (value - twin).abs().max() < 2e-5 * max(1.0, float(twin.abs().max())), name
+    assert gradients.keys() == expected_gradients.keys()
+    for name, gradient in gradients.items():
+        error = (gradient.double() - expected_gradients[name]).norm() / expected_gradients[name].norm()
+        assert error < 1e-4, name
+
+
+@pytest.mark.parametrize("config", CONFIGS)
+@pytest.mark.parametrize("blur", [0.0, 0.01])
+def test_faces_without_area(config: FaceBarycentricConfig, blur: float):
+    surface = _slivers()
+    rows = _rows(config, surface)
+    binding, gradients = _bound(config, surface, rows, torch.float32, blur)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sculpt_plugins.binders.face_barycentric.binder.bind_compiled", bind_in_torch)
+        twin, twin_gradients = _bound(config, surface, rows, torch.float32, blur)
+    for name in OUTPUTS:
+        value = getattr(binding, name).detach()
+        assert torch.isfinite(value).all(), name
+        torch.testing.assert_close(value, getattr(twin, name).detach(), rtol=1e-3, atol=1e-5)
+    for name, gradient in gradients.items():
+        assert torch.isfinite(gradient).all(), name
+        torch.testing.assert_close(gradient, twin_gradients[name], rtol=1e-2, atol=1e-3 * float(gradient.abs().max()))
+
+
+def test_a_vertex_that_is_not_a_number_shows():
+    surface = _ball()
+    vertices = surface.vertices.clone()
+    vertices[7, 1] = float("nan")
+    config = FaceBarycentricConfig(fit_outline=False)
+    binding = config.build().bind(replace(surface, vertices=vertices), _rows(config, surface), blur=0.01)
+    hurt = (surface.faces == 7).any(dim=1)
+    assert torch.isnan(binding.means[hurt]).any(dim=(1, 2)).all()
+    assert torch.isfinite(binding.means[~hurt]).all()
+
+
+def test_only_what_is_asked_for_is_differentiated():
+    """A detached surface: the corners in the tangent frame are constants, and the rows' gradients the same as ever."""
+    config, surface = CONFIGS[1], _ball()
+    rows = _rows(config, surface)
+    _, expected = _bound(config, surface, rows, torch.float32)
+    leaves = {name: row.clone().requires_grad_(True) for name, row in rows.items()}
+    binding = config.build().bind(surface, leaves, blur=0.005)
+    assert not binding.tangent_corners.requires_grad
+    generator = torch.Generator().manual_seed(5)
+    weights = {
+        name: torch.randn(getattr(binding, name).shape, dtype=torch.float64, generator=generator) for name in OUTPUTS
+    }
+    sum((getattr(binding, name) * weights[name].float()).sum() for name in OUTPUTS).backward()
+    for name, leaf in leaves.items():
+        torch.testing.assert_close(leaf.grad, expected[name])
+    # One output alone: the others have no gradient at all.
+    for name in ("means", "tangent_covariance"):
+        leaf = surface.vertices.clone().requires_grad_(True)
+        alone = config.build().bind(replace(surface, vertices=leaf), rows, blur=0.005)
+        getattr(alone, name).sum().backward()
+        double = surface.vertices.double().requires_grad_(True)
+        twin_rows = {key: row.double() for key, row in rows.items()}
+        twin = config.build().bind(replace(surface, vertices=double), twin_rows, blur=0.005)
+        getattr(twin, name).sum().backward()
+        assert (leaf.grad - double.grad).norm() < 1e-4 * double.grad.norm()
+
+
+def test_repeats_to_the_last_bit_on_any_number_of_threads():
+    before, results = torch.get_num_threads(), []
+    surface, config = _ball(), CONFIGS[1]
+    for threads in (1, 2, 2):
+        torch.set_num_threads(threads)
+        binding, gradients = _bound(config, surface, _rows(config, surface), torch.float32)
+        results.append([*(getattr(binding, name) for name in OUTPUTS), *gradients.values()])
+    torch.set_num_threads(before)
+    for other in results[1:]:
+        assert all(torch.equal(one, two) for one, two in zip(results[0], other, strict=True))

@@ -1,0 +1,148 @@
+"""What the rules make of evidence: no training, no pictures."""
+
+from dataclasses import replace
+
+import pytest
+from planned_scenes import decided, method
+
+from sculpt_framework.config import PlanConfig
+from sculpt_framework.plan.directions import Gloss
+from sculpt_framework.plan.evidence import Evidence
+from sculpt_framework.plan.make import decide
+from sculpt_framework.plan.options import with_options
+from sculpt_framework.registry import name_of
+
+USUAL = Evidence(
+    views=100,
+    masked=100,
+    pixel=0.0085,
+    pixel_best=0.0082,
+    pixel_worst=0.0089,
+    contrast=(0.05, 0.08, 0.11, 0.13),
+    speaking=0.9,
+    gloss=Gloss(strength=0.01, points=800),
+)
+"""Textured, matt, cells as wide as two pixels."""
+
+
+def test_nothing_is_decided_twice() -> None:
+    once, _ = decided(USUAL)
+    again, _, _ = decide(once, USUAL, own=once)
+    assert again == once
+
+
+def test_without_masks_there_is_neither_hull_nor_silhouette() -> None:
+    config, changed = decided(replace(USUAL, masked=0, gloss=None))
+    assert name_of(config.initializer) == "sphere"
+    assert "silhouette" not in [name_of(loss) for loss in config.losses]
+    assert "0 of 100" in changed["silhouette"].evidence
+
+
+def test_stereo_only_where_colours_say_something() -> None:
+    assert name_of(decided(USUAL)[0].initializer) == "photo-hull"
+    config, changed = decided(replace(USUAL, speaking=0.01))
+    assert name_of(config.initializer) == "visual-hull"
+    assert changed["stereo"].spared == {"depth maps": 50.0}
+
+
+def test_views_that_show_nothing_new_are_left_out_and_priced() -> None:
+    config, changed = decided(replace(USUAL, blind=("a",), repeated=(("b", "c"), ("d", "c")), view_megabytes=5.0))
+    assert config.skip_views == ("a", "b", "d")
+    assert changed["views"].spared["megabytes"] == 15.0
+
+
+def test_a_scene_is_never_left_without_views() -> None:
+    config, _ = decided(replace(USUAL, views=2, blind=("a",)))
+    assert config.skip_views == ()
+
+
+@pytest.mark.parametrize(("pixel", "level"), [(0.0082, 2), (0.02, 1), (0.045, 0)])
+def test_no_level_finer_than_the_pixels(pixel: float, level: int) -> None:
+    config, _ = decided(replace(USUAL, pixel=pixel, pixel_best=pixel, pixel_worst=pixel))
+    assert [stage.level for stage in config.trainer.stages] == [level]
+
+
+def test_a_thin_part_keeps_its_level() -> None:
+    coarse = replace(USUAL, pixel=0.02, pixel_best=0.02, pixel_worst=0.02)
+    config, changed = decided(replace(coarse, thinnest=3))
+    assert config.trainer.stages[0].level == 2
+    assert "level" not in changed
+    assert decided(replace(coarse, thinnest=12))[0].trainer.stages[0].level == 1
+
+
+def test_large_images_are_reduced_unless_their_texture_would_go() -> None:
+    fine = replace(USUAL, pixel=0.003, pixel_best=0.003, pixel_worst=0.003)
+    soft = replace(fine, contrast=(0.005, 0.015, 0.03, 0.06))
+    config, changed = decided(soft)
+    assert config.trainer.stages[0].image_scale == pytest.approx(2 * 0.003 / (2 / 128))
+    assert changed["images"].saves is not None
+    assert decided(fine)[0].trainer.stages[0].image_scale == 1.0
+
+
+@pytest.mark.parametrize(("strength", "degree"), [(0.01, 0), (0.07, 2), (0.2, 3)])
+def test_degree_follows_gloss(strength: float, degree: int) -> None:
+    config, _ = decided(replace(USUAL, gloss=Gloss(strength=strength, points=500)))
+    values = vars(config.appearance)
+    assert values["sh_degree"] == degree
+    if degree:
+        # All of them must come to act before the run ends.
+        steps = config.trainer.outer_steps * config.trainer.stages[0].inner_steps
+        assert degree * config.trainer.sh_degree_every < 1.2 * steps
+
+
+def test_a_degree_that_is_not_needed_is_left_out() -> None:
+    rich = with_options(method(), "appearance", sh_degree=3)
+    config, decisions, _ = decide(rich, USUAL, own=rich)
+    assert vars(config.appearance)["sh_degree"] == 0
+    (found,) = [decision for decision in decisions if decision.item == "sh-degree"]
+    assert found.saves == "45 of 48 colour numbers per Gaussian"
+
+
+def test_gaussians_follow_the_texture_finer_than_a_face() -> None:
+    large = replace(USUAL, pixel=0.0036, pixel_best=0.0036, pixel_worst=0.0038)
+    config, changed = decided(large)
+    assert vars(config.binder)["gaussians_per_face"] == 4
+    assert {name_of(each) for each in config.constraints} == {"mee-scale", "boundary", "spacing", "coverage"}
+    assert vars(config.binder)["places"] == "learned"
+    plain = replace(large, contrast=(0.001, 0.002, 0.003, 0.004))
+    assert vars(decided(plain)[0].binder)["gaussians_per_face"] == 1
+    assert changed["gaussians"].measured["face_pixels"] == pytest.approx(0.7 * 2 / 128 / 0.0036)
+
+
+def test_small_faces_learn_no_places_and_need_no_constraints() -> None:
+    config, changed = decided(USUAL)
+    assert vars(config.binder)["places"] == "fixed"
+    assert config.constraints == ()
+    assert changed["places"].override == "--plan.places off"
+
+
+def test_constraints_between_gaussians_go_where_there_is_one() -> None:
+    given = replace(method(), plan=PlanConfig(constraints="on"))
+    config, _, _ = decide(given, USUAL, own=given)
+    assert [name_of(each) for each in config.constraints] == ["mee-scale", "boundary"]
+    assert config.trainer.rest_after > 0
+
+
+@pytest.mark.parametrize(("contrast", "steps"), [(0.08, 4), (0.02, 2), (0.001, 1)])
+def test_inner_steps_follow_the_texture_finer_than_a_cell(contrast: float, steps: int) -> None:
+    config, _ = decided(replace(USUAL, contrast=(contrast,) * 4))
+    assert config.trainer.stages[0].inner_steps == steps
+
+
+def test_what_the_user_set_is_not_decided() -> None:
+    given = with_options(method(), "binder", gaussians_per_face=3)
+    config, decisions, kept = decide(given, USUAL, own=method())
+    assert vars(config.binder)["gaussians_per_face"] == 3
+    assert "gaussians" not in [decision.item for decision in decisions]
+    (found,) = [decision for decision in kept if decision.item == "gaussians"]
+    assert "--binder.gaussians-per-face" in found.evidence
+
+
+def test_an_item_is_switched_by_itself() -> None:
+    off = replace(method(), plan=PlanConfig(mode="on", places="off"))
+    assert vars(decided(USUAL, off)[0].binder)["places"] == "learned"
+    alone = replace(method(), plan=PlanConfig(mode="off", places="on"))
+    config, changed = decided(USUAL, alone)
+    assert set(changed) == {"places"}
+    assert config.trainer == alone.trainer
+    assert decided(USUAL, replace(method(), plan=PlanConfig(mode="off")))[1] == {}

@@ -28,8 +28,8 @@ def gaussian_sculpting() -> MethodConfig:
     """The default: hash-grid SDF, FlexiCubes, warm inner loop, from the carved hull; minutes on a CPU."""
     return MethodConfig(
         method="gaussian-sculpting",
-        # What these two leave out costs a decibel (docs/plan.md).
-        plan=PlanConfig(mode="on", places="off", inner_steps="off"),
+        # Fewer colour steps cost more than they spare (docs/plan.md).
+        plan=PlanConfig(mode="on", inner_steps="off"),
         field=HashGridFieldConfig(),
         extractor=FlexiCubesConfig(),
         binder=FaceBarycentricConfig(),

@@ -41,7 +41,8 @@ def fake(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.chdir(tmp_path)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
+# Starting a Ray cluster takes half a minute on a busy machine, and what it needs of one is not ours to test every time.
+@pytest.mark.parametrize("engine", ["local", pytest.param("ray", marks=pytest.mark.long), "slurm"])
 def test_failures_are_isolated_and_named_and_nothing_is_done_twice(
     engine: str, make_scenes: MakeScenes, tmp_path: Path
 ):

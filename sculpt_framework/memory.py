@@ -1,6 +1,7 @@
-"""How much memory there is still to be had: of the machine, and under the limits this process runs with."""
+"""How much memory this process has used, and may still have: of the machine, and under the limits it runs with."""
 
 import resource
+import sys
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 
@@ -19,6 +20,18 @@ def available_bytes(root: Path = Path("/")) -> int | None:
     """
     known = [*_of_machine(root), *_of_groups(root), *_of_limits(root)]
     return max(0, min(known)) if known else None
+
+
+def peak_bytes(root: Path = Path("/")) -> int:
+    """Most memory that this process has had in use so far.
+
+    The system's own count of it (``ru_maxrss``) begins with what the process that started this one had in use; Linux
+    has another that does not.
+    """
+    for line in _lines(root / "proc/self/status"):
+        if line.startswith("VmHWM:"):
+            return int(line.split()[1]) << 10
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 2**10)
 
 
 def in_words(size: int | float) -> str:

@@ -1,6 +1,4 @@
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -104,12 +102,9 @@ def test_plane_through_cases():
 
 
 @pytest.mark.slow
-def test_memory_of_a_rendering_is_linear():
-    # In a process of its own: one that has held much more before sees no new peak.
-    words = ["memory", "--gaussians", "100000", "200000", "400000", "--sizes", "400", "1200", "--json"]
-    script = "from sculpt_framework.cli.bench import main; main()"
-    done = subprocess.run([sys.executable, "-c", script, *words], capture_output=True, text=True, check=True)
-    result = json.loads(done.stdout)
+def test_memory_of_a_rendering_is_linear(capsys: pytest.CaptureFixture[str]):
+    bench(["memory", "--gaussians", "100000", "200000", "400000", "--sizes", "400", "1200", "--json"])
+    result = json.loads(capsys.readouterr().out)
     assert result["fit"]["largest_error"] < 0.1
     assert 100 < result["fit"]["per_gaussian"] < 1000
     assert 10 < result["fit"]["per_pixel"] < 200

@@ -2,7 +2,6 @@
 
 import math
 import multiprocessing
-import resource
 import statistics
 import sys
 import time
@@ -14,6 +13,7 @@ import tyro
 
 from sculpt_framework.cli.options import Flag
 from sculpt_framework.errors import ConfigError
+from sculpt_framework.memory import peak_bytes
 
 if TYPE_CHECKING:
     import torch
@@ -240,5 +240,4 @@ def _peak_megabytes(device: "torch.device") -> float:
         import torch
 
         return torch.cuda.max_memory_allocated(device) / 2**20
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / (2**20 if sys.platform == "darwin" else 2**10)
+    return peak_bytes() / 2**20

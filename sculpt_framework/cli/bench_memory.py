@@ -2,7 +2,6 @@
 
 import math
 import multiprocessing
-import resource
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -13,6 +12,7 @@ import tyro
 from sculpt_framework.cli.bench_splats import bumpy_sphere_camera
 from sculpt_framework.cli.options import Flag
 from sculpt_framework.errors import ConfigError
+from sculpt_framework.memory import peak_bytes
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -135,9 +135,9 @@ def _measure(count: int, size: int, threads: int) -> MemoryRow:
     # Loads the kernels.
     render(splats_on_a_sphere(100), 16)
     splats = splats_on_a_sphere(count)
-    before = _peak_bytes()
+    before = peak_bytes()
     render(splats, size)
-    return MemoryRow(gaussians=count, pixels=size * size, peak_mb=round((_peak_bytes() - before) / 2**20, 1))
+    return MemoryRow(gaussians=count, pixels=size * size, peak_mb=round((peak_bytes() - before) / 2**20, 1))
 
 
 def splats_on_a_sphere(count: int) -> "list[Tensor]":
@@ -161,8 +161,3 @@ def splats_on_a_sphere(count: int) -> "list[Tensor]":
     scales = torch.tensor([1e-2, 1.0, 1.0]).mul_(half_edge).repeat(count, 1)
     splats = [means, scales, rotations, torch.full((count,), 0.99), torch.rand(count, 3)]
     return [tensor.requires_grad_(True) for tensor in splats]
-
-
-def _peak_bytes() -> int:
-    """Most memory the process has used so far."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 2**10)

@@ -1,8 +1,6 @@
 """What a run measures of itself: held-out views, and the memory it takes."""
 
 import math
-import resource
-import sys
 from collections.abc import Sequence
 
 import numpy as np
@@ -12,6 +10,7 @@ from sculpt_framework.engine.gaussian_scene import GaussianScene
 from sculpt_framework.engine.images import TrainingImage
 from sculpt_framework.engine.reconstruction import object_gaussians
 from sculpt_framework.evaluation.images import mask_iou, psnr, ssim
+from sculpt_framework.memory import peak_bytes
 from sculpt_framework.rasterizers import Rasterizer
 from sculpt_framework.types import Gaussians, Surface
 
@@ -49,5 +48,4 @@ def splat_measures(
 
 def resident_megabytes() -> float:
     """Peak resident memory of this process."""
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / (1 << 20) if sys.platform == "darwin" else peak / (1 << 10)
+    return peak_bytes() / 2**20

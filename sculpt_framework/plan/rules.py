@@ -243,7 +243,7 @@ def places(config: MethodConfig, evidence: Evidence) -> Ruling:
         evidence=why,
         measured=measured,
         saves="their rows and optimiser state, two bindings a step, the constraints on them",
-        spared={"binds per outer step": 1.0 + _inner_binds(config)},
+        spared={"binds per outer step": _inner_binds(config)},
     )
 
 
@@ -311,7 +311,7 @@ def cell_pixels(config: MethodConfig, evidence: Evidence) -> float:
 
 
 def _inner_binds(config: MethodConfig) -> float:
-    """Bindings in the inner loop of one outer step: one before it, two for each step that learns places."""
+    """Bindings of one outer step beside the one it cannot do without: two for each inner step that learns places."""
     steps = config.trainer.stages[-1].inner_steps
     return 2.0 * -(-steps // config.trainer.bind_every)
 

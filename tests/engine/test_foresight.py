@@ -1,5 +1,7 @@
 """Memory that will not suffice is told before it is asked for, with the setting to lower."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -14,7 +16,7 @@ from sculpt_framework.engine.pipeline import Pipeline
 from sculpt_framework.errors import DataError, TrainingFailed
 from sculpt_framework.evaluation.certificate import certify
 from sculpt_framework.geometry.band import cells_at_level, discover
-from sculpt_framework.memory import available_bytes, in_words
+from sculpt_framework.memory import available_bytes, in_words, peak_bytes
 from sculpt_framework.types import Scene
 from sculpt_plugins.datasets.blender.config import BlenderConfig
 
@@ -34,6 +36,19 @@ def system(root: Path, **files: str) -> Path:
 @pytest.fixture(autouse=True)
 def no_limit_of_this_process(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(memory, "_of_limits", lambda root: iter(()))
+
+
+def test_the_peak_is_this_process_and_not_that_of_the_one_that_started_it(tmp_path: Path):
+    assert peak_bytes(system(tmp_path, proc__self__status="Name: x\nVmHWM:\t    2048 kB\n")) == 2 << 20
+    # Where the system does not say, its own count is what there is.
+    assert peak_bytes(tmp_path / "elsewhere") >= peak_bytes() * 0.99
+    before = peak_bytes()
+    held = bytearray(256 << 20)
+    held[::4096] = b"x" * len(held[::4096])
+    assert peak_bytes() >= before
+    script = "from sculpt_framework.memory import peak_bytes; print(peak_bytes())"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert int(done.stdout) < 128 << 20 < len(held) <= peak_bytes()
 
 
 def test_of_the_machine(tmp_path: Path):

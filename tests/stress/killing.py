@@ -54,6 +54,8 @@ def attempt(config: MethodConfig, resume: Path | None, kill_after: float | None)
     child = os.fork()
     if child == 0:
         code = 1
+        # Standard output is the report's alone: a run that was killed after its last file says that it has finished.
+        os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
         try:
             run(config, resume=resume, started=time.monotonic())
             code = 0

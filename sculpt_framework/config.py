@@ -138,6 +138,9 @@ class TrainerConfig:
     narrower, larger ones take their place. Default: all cells of a stage are alike."""
     final_rate: float = 0.05
     """Share of their start to which learning rates fall, exponentially, over the run."""
+    level_gain_db: float = 0.0
+    """Under ``--max-time``, end sooner once twice the time of the last stage gains less on the held-out views, but not
+    before ``outer_steps``; 0: take all the time there is."""
     gradient_isolation: bool = True
     """Optimise a detached copy of the Gaussians in the inner loop; off: one joint update of everything (ablation)."""
     warm_start: bool = True

@@ -42,6 +42,7 @@ def gaussian_sculpting() -> MethodConfig:
         observers=(ConsoleConfig(), RecorderConfig()),
         trainer=TrainerConfig(
             outer_steps=160,
+            level_gain_db=0.1,
             base_cells=32,
             warm_up_steps=40,
             ramp_steps=15,

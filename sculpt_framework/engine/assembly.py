@@ -12,7 +12,7 @@ from sculpt_framework.engine.parallel import Processes
 from sculpt_framework.engine.trainer import BiLevelTrainer, Objectives, Weighted
 from sculpt_framework.errors import ConfigError, DeviceError
 from sculpt_framework.extractors import Extractor, RefiningExtractor
-from sculpt_framework.geometry.band import coarsened
+from sculpt_framework.geometry.band import coarsened, discover
 from sculpt_framework.geometry.grid import Grid, RefineBox, grid_over_box
 from sculpt_framework.geometry.octree_policy import LevelMap, level_map, wanted_levels
 from sculpt_framework.losses import GeometryLoss, ImageLoss
@@ -21,6 +21,8 @@ from sculpt_framework.registry import name_of
 from sculpt_framework.types import Box, Scene
 
 PHOTOMETRIC, SILHOUETTE = "photometric", "silhouette"
+_LIPSCHITZ = 1.5
+"""A fitted field is not quite a distance: cells are searched as if it could be this much steeper."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -143,6 +145,14 @@ def refine_in(parts: Parts, boxes: Sequence[RefineBox], finest: int) -> Parts:
     parts.trainer.field.set_detail(refined.detail)
     fit_seeds(refined)
     return refined
+
+
+def find_seeds(parts: Parts) -> None:
+    """Have the trainer start from all cells that the field's surface passes through."""
+    field, grid = parts.trainer.field, parts.trainer.extractor.grid
+    parts.trainer.seeds = discover(
+        lambda points: field(points).sdf, grid, coarse_level=0, lipschitz=_LIPSCHITZ, device=parts.device
+    )
 
 
 def fit_seeds(parts: Parts) -> None:

@@ -1,5 +1,6 @@
 """When a run measures itself, and what it found."""
 
+import math
 from collections.abc import Sequence
 from typing import Any, Literal
 
@@ -9,10 +10,12 @@ _COST_AT_MOST = 0.08
 """Of training time so far, for the measurements in between."""
 _COST_AHEAD = 0.03
 """Of the time a run is given, which they may take before so much was trained: the first seconds tell most."""
+_ROWS_TO_TELL = 4
+"""Measurements of a stage before its curve can be called level."""
 
 
 class Milestones:
-    """Rows of the error-against-time curve: at geometric times (1, 2, 4, ... s) and at fixed shares of the run."""
+    """Rows of the error-against-time curve: at geometric times (1, 1.4, 2, 2.8, 4, ... s) and fixed shares of the run."""
 
     def __init__(self, rows: Sequence[dict[str, Any]] = (), given: float | None = None):
         """``given`` is how long the run may take, in seconds, if that is known."""
@@ -31,7 +34,7 @@ class Milestones:
         if trained < self._next_second:
             return None
         while self._next_second <= trained:
-            self._next_second *= 2
+            self._next_second *= math.sqrt(2)
         return "time" if spent <= max(_COST_AT_MOST * trained, self._ahead) else None
 
     def add(self, progress: float, row: dict[str, Any]) -> None:
@@ -39,6 +42,23 @@ class Milestones:
 
     def latest(self, column: str) -> Any:
         return self.rows[-1][column] if self.rows else None
+
+    def gain(self) -> float | None:
+        """Decibels by which the latest held-out views are better than all were at half the progress so far.
+
+        Counted from where the latest stage began; None as long as too little of it has been measured to tell.
+        """
+        stage = [number for number, row in enumerate(self.rows) if row["reason"] == "stage"]
+        rows = self.rows[stage[-1] :] if stage else []
+        if len(rows) < _ROWS_TO_TELL or rows[-1]["psnr"] is None:
+            return None
+        half = (rows[0]["progress"] + rows[-1]["progress"]) / 2
+        return rows[-1]["psnr"] - max(row["psnr"] for row in rows if row["progress"] <= half)
+
+    def cut_short(self, factor: float) -> None:
+        """The run has become shorter: all progress so far was that much more of it."""
+        for row in self.rows:
+            row["progress"] *= factor
 
     def shares(self) -> list[dict[str, Any]]:
         """The first row at or after 25 and 50 % of the run, and the last one if the run came to its end."""

@@ -11,7 +11,7 @@ from torch import Tensor
 from sculpt_framework.config import MethodConfig, StageConfig
 from sculpt_framework.cpu_kernels import CompileSeconds
 from sculpt_framework.engine import announcements, assembly, foresight
-from sculpt_framework.engine.assembly import Parts, build_parts, fit_seeds, refine_in, spare_cells, split_views
+from sculpt_framework.engine.assembly import Parts, build_parts, find_seeds, fit_seeds, refine_in, spare_cells, split_views
 from sculpt_framework.engine.clock import TrainingClock, process_start
 from sculpt_framework.engine.events import Event, EventName
 from sculpt_framework.engine.images import TrainingImage, pixel_footprint, prepare_image
@@ -31,7 +31,7 @@ from sculpt_framework.evaluation.mesh import load_mesh
 from sculpt_framework.evaluation.mesh_report import mesh_measures, result_measures
 from sculpt_framework.evaluation.pictures import Picture
 from sculpt_framework.extractors import EmptySurfaceError
-from sculpt_framework.geometry.band import cells_at_level, discover
+from sculpt_framework.geometry.band import cells_at_level
 from sculpt_framework.geometry.grid import RefineBox
 from sculpt_framework.types import Scene, Surface, View
 
@@ -41,8 +41,6 @@ _HELD_OUT_AT_MOST = 10
 _RECOVERIES_AT_MOST = 3
 _UNSTABLE = (FloatingPointError, EmptySurfaceError)
 """What a step or a measurement raises when the optimisation has gone wrong."""
-_LIPSCHITZ = 1.5
-"""A fitted field is not quite a distance: cells are searched as if it could be this much steeper."""
 
 
 class Pipeline:
@@ -162,7 +160,7 @@ class Pipeline:
             return stage
         self._set_level(stage.level)
         if self._trainer.seeds is None:
-            self._discover()
+            find_seeds(self._parts)
         self._load_images(stage)
         self._trainer.view_order = []
         self._stage_index = index
@@ -193,12 +191,6 @@ class Pipeline:
         if trainer.seeds is not None:
             # The surface's cells on the old level hold those on the new one, and the extraction follows it from there.
             trainer.seeds = cells_at_level(trainer.seeds, grid.level - old.level)
-
-    def _discover(self) -> None:
-        field, grid = self._trainer.field, self._trainer.extractor.grid
-        self._trainer.seeds = discover(
-            lambda points: field(points).sdf, grid, coarse_level=0, lipschitz=_LIPSCHITZ, device=self._parts.device
-        )
 
     def _step(self, stage: StageConfig, progress: float) -> None:
         report = self._trainer.outer_step(self._images, stage, self._schedule.rate_factor(progress) * self._rate_scale)
@@ -284,8 +276,21 @@ class Pipeline:
         if reason is not None:
             self._evaluate(reason, progress)
             self._keep_good()
+            self._end_if_level()
         if time.monotonic() - self._last_checkpoint >= self.config.trainer.checkpoint_seconds:
             self.save_checkpoint()
+
+    def _end_if_level(self) -> None:
+        """Have a run that gains no more come to its end, and its rates with it."""
+        config, gain = self.config.trainer, self._milestones.gain()
+        last = self._stage_index == len(config.stages) - 1
+        if gain is None or gain >= config.level_gain_db or self.outer < config.outer_steps or not last:
+            return
+        factor = self._schedule.cut_short()
+        if factor is not None:
+            self._milestones.cut_short(factor)
+            self._pace = Pace()
+            self._emit("decision", {"item": "time", "value": "end early", "gain_db": gain, "run_cut_to": 1 / factor})
 
     def _evaluate(self, reason: str, progress: float) -> None:
         """Measure the current surface on held-out views and against the reference; the clock stands still meanwhile."""

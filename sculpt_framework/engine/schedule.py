@@ -5,6 +5,9 @@ from collections.abc import Sequence
 
 from sculpt_framework.config import StageConfig, TrainerConfig
 
+_LEFT = 0.2
+"""Of a run that is cut short: its rates fall to the end within it."""
+
 
 class Schedule:
     """Progress by outer steps, or, if a deadline is given, by the clock.
@@ -47,6 +50,21 @@ class Schedule:
             return self._done_before
         span = self._deadline - self._began
         return 1.0 if span <= 0 else min(1.0, self._done_before + (time.monotonic() - self._began) / span)
+
+    def cut_short(self) -> float | None:
+        """Have a fifth of the run left: what it is from now on, by what it was. None if no more is left anyway.
+
+        The rates become those that a run of the new length has at this moment. What was progress before is that times
+        the figure returned. Runs that count steps are not cut.
+        """
+        progress = self.progress(0)
+        if self._deadline is None or self._began is None or not 0 < progress < 1 - _LEFT:
+            return None
+        factor = (1 - _LEFT) / progress
+        span = (self._deadline - self._began) / factor
+        self.begin(1 - _LEFT)
+        self._deadline = self._began + span
+        return factor
 
     def stage_index(self, progress: float) -> int:
         for index, end in enumerate(self._ends):

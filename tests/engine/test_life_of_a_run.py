@@ -4,6 +4,7 @@ import errno
 import json
 import os
 import signal
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -109,6 +110,26 @@ def test_time_left_is_the_share_that_was_left(scene: Scene):
     Pipeline(config, scene=scene, emit=events.append).train((state, replace(progress, progress=0.6)))
     assert next(event.data["index"] for event in events if event.event == "stage") == int(state["stage"])
     assert all(event.data["progress"] >= 0.6 for event in events if event.event == "evaluation")
+
+
+@pytest.mark.parametrize("level_gain_db", [1000.0, 0.0])
+def test_a_curve_that_is_level_ends_a_run_early(scene: Scene, level_gain_db: float):
+    limit = 12.0
+    events: list[Event] = []
+    config = small_config(max_time=limit, outer_steps=8, level_gain_db=level_gain_db, polish_steps=0)
+    Pipeline(config, scene=scene, emit=events.append, started=time.monotonic()).train()
+    told = [event for event in events if event.event == "decision" and event.data["item"] == "time"]
+    steps = [event for event in events if event.event == "outer_step"]
+    if level_gain_db == 0.0:
+        assert not told
+        assert steps[-1].t_wall > 0.6 * limit
+        return
+    [early] = told
+    assert early.outer >= 8
+    assert early.data["gain_db"] < level_gain_db
+    # It ends as its new length says: with a fifth of that still to go.
+    assert early.t_wall < steps[-1].t_wall < 0.6 * limit
+    assert steps[-1].data["progress"] == pytest.approx(1.0, abs=0.1)
 
 
 # -- run directories -------------------------------------------------------------------------------------------------

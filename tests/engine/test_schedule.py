@@ -56,6 +56,40 @@ def test_a_deadline_in_the_past_is_the_end():
     assert schedule.progress(0) == 1.0
 
 
+def test_a_run_that_is_cut_short_has_a_fifth_left(monkeypatch: pytest.MonkeyPatch):
+    now = 0.0
+    monkeypatch.setattr(time, "monotonic", lambda: now)
+    schedule = Schedule(small_config(final_rate=0.05).trainer, deadline=100.0)
+    assert schedule.cut_short() is None
+    schedule.begin()
+    assert schedule.cut_short() is None
+    now = 40.0
+    assert schedule.cut_short() == pytest.approx(2.0)
+    assert schedule.progress(0) == pytest.approx(0.8)
+    now = 45.0
+    assert schedule.progress(0) == pytest.approx(0.9)
+    assert schedule.cut_short() is None
+    now = 50.0
+    assert schedule.progress(0) == pytest.approx(1.0)
+    # What is done by count stays as long as it was asked for.
+    counted = Schedule(small_config().trainer, None)
+    counted.begin()
+    assert counted.cut_short() is None
+
+
+def test_a_run_gone_on_with_is_cut_short_too(monkeypatch: pytest.MonkeyPatch):
+    now = 0.0
+    monkeypatch.setattr(time, "monotonic", lambda: now)
+    schedule = Schedule(small_config().trainer, deadline=100.0)
+    schedule.begin(done=0.3)
+    now = 10.0
+    assert schedule.progress(0) == pytest.approx(0.4)
+    assert schedule.cut_short() == pytest.approx(2.0)
+    # Four fifths of the new length are what 40 of 100 seconds were.
+    now = 20.0
+    assert schedule.progress(0) == pytest.approx(1.0)
+
+
 def test_stages_need_shares():
     stage = StageConfig(share=0.0, level=0, image_scale=1.0, inner_steps=1, outer_views=1)
     with pytest.raises(ValueError, match="positive shares"):
@@ -79,7 +113,7 @@ def test_times_are_measured_where_that_is_cheap():
     milestones = Milestones()
     assert milestones.due(0.01, 0.5, 0.0) is None
     assert milestones.due(0.01, 1.1, 0.0) == "time"
-    assert milestones.due(0.01, 1.5, 0.0) is None
+    assert milestones.due(0.01, 1.4, 0.0) is None
     assert milestones.due(0.01, 2.1, 1.0) is None
     assert milestones.due(0.01, 9.0, 0.1) == "time"
 
@@ -101,6 +135,42 @@ def test_milestones_are_the_first_rows_at_a_share_and_the_last_of_all():
     stopped = Milestones(milestones.rows[:2])
     assert [row["share"] for row in stopped.shares()] == [0.25]
     assert Milestones().latest("psnr") is None
+
+
+def curve(*rows: tuple[float, float | None], began: float = 0.0) -> Milestones:
+    milestones = Milestones()
+    for number, (progress, psnr) in enumerate(rows):
+        milestones.add(began + progress, {"reason": "time" if number else "stage", "psnr": psnr})
+    return milestones
+
+
+def test_the_gain_is_over_the_best_of_the_first_half():
+    rising = curve((0.0, 20.0), (0.1, 30.0), (0.2, 33.0), (0.3, 34.0), (0.4, 34.5))
+    assert rising.gain() == pytest.approx(1.5)
+    # The best so far counts, not the latest; rows of the second half do not.
+    level = curve((0.0, 20.0), (0.1, 34.0), (0.2, 33.0), (0.3, 36.0), (0.4, 34.05))
+    assert level.gain() == pytest.approx(0.05)
+    later = curve((0.0, 20.0), (0.1, 34.0), (0.2, 33.0), (0.3, 36.0), (0.4, 34.05), began=0.5)
+    assert later.gain() == pytest.approx(0.05)
+
+
+def test_there_is_no_gain_to_tell_without_measurements():
+    assert Milestones().gain() is None
+    assert curve((0.0, 20.0), (0.1, 30.0), (0.2, 33.0)).gain() is None
+    assert curve((0.0, None), (0.1, None), (0.2, None), (0.3, None), (0.4, None)).gain() is None
+    # Only the latest stage counts.
+    milestones = curve((0.0, 20.0), (0.1, 30.0), (0.2, 33.0), (0.3, 34.0), (0.4, 34.5))
+    milestones.add(0.5, {"reason": "stage", "psnr": 34.0})
+    assert milestones.gain() is None
+
+
+def test_what_is_cut_short_is_further_along():
+    milestones = curve((0.0, 20.0), (0.1, 30.0), (0.4, 33.0))
+    milestones.cut_short(2.0)
+    assert [row["progress"] for row in milestones.rows] == [0.0, 0.2, 0.8]
+    # What was to be measured on the way is behind it now.
+    assert milestones.due(0.85, 0.0, 0.0) is None
+    assert milestones.due(0.9, 0.0, 0.0) == "share"
 
 
 def test_the_clock_leaves_pauses_out(monkeypatch: pytest.MonkeyPatch):

@@ -50,7 +50,10 @@ class StepRequest:
 
 @dataclass(frozen=True, kw_only=True)
 class StepRow:
-    """Medians of wall milliseconds over the steps, by part; ``cpu_ms`` is of the whole step, of all threads."""
+    """Medians of wall milliseconds over the steps, by part; ``cpu_ms`` is of the whole step, of all threads.
+
+    The parts are of steps under torch's profiler and add up to more than the total, which is of steps without it.
+    """
 
     step: str
     gaussians: int
@@ -129,18 +132,18 @@ def _measure(request: StepRequest, places: bool) -> StepRow:
             scene.step(1.0)
 
     parts: dict[str, list[float]] = {name: [] for name in ("total", "cpu", "kernels", *_PARTS)}
+    # Without the profiler: it takes time itself, most where there is most of Python, and has the system take memory back
+    # between two steps, which a run keeps.
     for count in range(_IDLE + request.repeats):
         wall, cpu = time.perf_counter(), time.process_time()
-        if count < _IDLE:
-            step()
-            continue
+        step()
+        if count >= _IDLE:
+            parts["total"].append(1e3 * (time.perf_counter() - wall))
+            parts["cpu"].append(1e3 * (time.process_time() - cpu))
+    for _ in range(request.repeats):
         with profile(activities=[ProfilerActivity.CPU]) as profiled:
-            wall, cpu = time.perf_counter(), time.process_time()
             step()
-            wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
         averages = {event.key: event for event in profiled.key_averages()}
-        parts["total"].append(1e3 * wall)
-        parts["cpu"].append(1e3 * cpu)
         for name in _PARTS:
             parts[name].append(1e-3 * averages[name].cpu_time_total if name in averages else 0.0)
         parts["kernels"].append(

@@ -44,16 +44,17 @@ class Milestones:
         return self.rows[-1][column] if self.rows else None
 
     def gain(self) -> float | None:
-        """Decibels by which the latest held-out views are better than all were at half the progress so far.
+        """Decibels by which held-out views were better in the later half of the progress so far than in the earlier.
 
-        Counted from where the latest stage began; None as long as too little of it has been measured to tell.
+        The best of each half: single measurements fall out of line. Counted from where the latest stage began; None as long as too little of it has been measured to tell.
         """
         stage = [number for number, row in enumerate(self.rows) if row["reason"] == "stage"]
         rows = self.rows[stage[-1] :] if stage else []
         if len(rows) < _ROWS_TO_TELL or rows[-1]["psnr"] is None:
             return None
         half = (rows[0]["progress"] + rows[-1]["progress"]) / 2
-        return rows[-1]["psnr"] - max(row["psnr"] for row in rows if row["progress"] <= half)
+        early = [row["psnr"] for row in rows if row["progress"] <= half]
+        return max(row["psnr"] for row in rows[len(early) :]) - max(early)
 
     def cut_short(self, factor: float) -> None:
         """The run has become shorter: all progress so far was that much more of it."""

@@ -94,8 +94,11 @@ def _unknown(metrics: Facts, started: Facts) -> str:
     )
 
 
-def _time_spent(events: Sequence[Facts]) -> Facts:
-    """Wall seconds of the process by what they went to, up to the end of the run; of its last process if resumed."""
+def seconds_spent(events: Sequence[Facts]) -> dict[str, float]:
+    """Wall seconds of the process by what they went to, up to the end of the run; of its last process if resumed.
+
+    Empty if the events do not begin with a start. "measuring" has the measurement of the result in it.
+    """
     first = max((index for index, event in enumerate(events) if event["event"] == "run_started"), default=None)
     if first is None or "t_train" not in events[first]:
         return {}
@@ -107,7 +110,11 @@ def _time_spent(events: Sequence[Facts]) -> Facts:
         seconds = (after["t_wall"] - before["t_wall"]) - (after["t_train"] - before["t_train"])
         name = names.get(after["event"], "compiling, pictures, viewing")
         idle[name] = idle.get(name, 0.0) + max(0.0, seconds)
-    parts = {"start and loading": start["t_wall"], "training": last["t_train"] - start["t_train"], **idle}
+    return {"start and loading": start["t_wall"], "training": last["t_train"] - start["t_train"], **idle}
+
+
+def _time_spent(events: Sequence[Facts]) -> Facts:
+    parts = seconds_spent(events)
     total = max(sum(parts.values()), 1e-9)
     return {name: f"{seconds:.1f} s, {100 * seconds / total:.0f} %" for name, seconds in parts.items()}
 

@@ -26,7 +26,7 @@ class CameraTab:
         self._server, self._run = server, run
         gui = server.gui
         with tabs.add_tab("Cameras"):
-            self.show = gui.add_checkbox("Cameras", initial_value=False)
+            self.show = gui.add_checkbox("Show cameras", initial_value=False)
             self.view = gui.add_slider("View", min=0, max=1, step=1, initial_value=0)
             self.look = gui.add_button("Look from there")
             self.text = gui.add_markdown("Reading the photographs.")

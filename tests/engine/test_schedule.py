@@ -144,14 +144,15 @@ def curve(*rows: tuple[float, float | None], began: float = 0.0) -> Milestones:
     return milestones
 
 
-def test_the_gain_is_over_the_best_of_the_first_half():
+def test_the_gain_is_that_of_the_later_half_over_the_earlier():
     rising = curve((0.0, 20.0), (0.1, 30.0), (0.2, 33.0), (0.3, 34.0), (0.4, 34.5))
     assert rising.gain() == pytest.approx(1.5)
-    # The best so far counts, not the latest; rows of the second half do not.
-    level = curve((0.0, 20.0), (0.1, 34.0), (0.2, 33.0), (0.3, 36.0), (0.4, 34.05))
-    assert level.gain() == pytest.approx(0.05)
-    later = curve((0.0, 20.0), (0.1, 34.0), (0.2, 33.0), (0.3, 36.0), (0.4, 34.05), began=0.5)
-    assert later.gain() == pytest.approx(0.05)
+    # The best of each half counts: one that is out of line, low or early, does not.
+    dips = curve((0.0, 20.0), (0.1, 34.0), (0.2, 33.0), (0.3, 34.6), (0.4, 31.0))
+    assert dips.gain() == pytest.approx(0.6)
+    assert curve((0.0, 20.0), (0.1, 34.0), (0.2, 33.0), (0.3, 33.9), (0.4, 33.0)).gain() == pytest.approx(-0.1)
+    later = curve((0.0, 20.0), (0.1, 34.0), (0.2, 33.0), (0.3, 34.6), (0.4, 31.0), began=0.5)
+    assert later.gain() == pytest.approx(0.6)
 
 
 def test_there_is_no_gain_to_tell_without_measurements():

@@ -165,9 +165,7 @@ class Page:
             assert time.monotonic() < deadline, f"nothing that can be pressed is labelled {label!r}:\n{self.text()}"
             time.sleep(0.2)
             before, place = place, self.evaluate(f"({_PLACE})({json.dumps(label)})")
-        x, y = place
-        for kind in ("mousePressed", "mouseReleased"):
-            self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+        self.press(*place)
 
     def fill(self, label: str, *values: float, seconds: float = 90.0) -> None:
         """Type numbers into the fields beside this label, each ended with Tab."""
@@ -206,6 +204,16 @@ class Page:
             time.sleep(0.1)
         x, y = x + right, y + down
         self.call("Input.dispatchMouseEvent", type="mouseReleased", x=x, y=y, button="left", clickCount=1)
+
+    def press(self, x: float, y: float) -> None:
+        """Press and let go at a place in pixels."""
+        self.call("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y)
+        for kind in ("mousePressed", "mouseReleased"):
+            self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+
+    def turn_wheel(self, x: float, y: float, pixels: float) -> None:
+        """Towards oneself with the mouse at a place: away from what is there."""
+        self.call("Input.dispatchMouseEvent", type="mouseWheel", x=x, y=y, deltaX=0, deltaY=pixels)
 
     def reload(self) -> None:
         self.call("Page.reload")

@@ -5,6 +5,7 @@ pytest -m browser tests/viewer
 
 import json
 import os
+import re
 import subprocess
 import sys
 import time
@@ -238,6 +239,27 @@ def test_cameras_and_plots(run: Run, chromium: Chromium):
     page.click("Plots")
     page.wait_for("Loss against training time")
     page.screenshot(PICTURES / "plots.png")
+    page.close()
+
+
+def test_a_camera_that_is_clicked_is_looked_from(run: Run, chromium: Chromium):
+    page = chromium.open(run.address)
+    page.click("Cameras")
+    page.wait_for("train/r_0: mean difference")
+    page.click("Show cameras")
+    for _ in range(5):
+        page.turn_wheel(540, 475, 300)
+        time.sleep(0.2)
+    time.sleep(3.0)
+    page.screenshot(PICTURES / "frustums.png")
+    # Wherever in the picture there is one: around the object, out from the middle.
+    places = [(540 + dx, 475 + dy) for dx in range(-500, 501, 25) for dy in range(-400, 401, 25)]
+    for x, y in sorted(places, key=lambda place: abs(np.hypot(place[0] - 540, place[1] - 475) - 250)):
+        page.press(x, y)
+        time.sleep(0.1)
+        if re.search(r"train/r_[1-9]\d*:", page.text()):
+            break
+    eventually(lambda: re.search(r"train/r_[1-9]\d*: mean difference", page.text()) is not None)
     page.close()
 
 

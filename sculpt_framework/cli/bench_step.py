@@ -132,8 +132,8 @@ def _measure(request: StepRequest, places: bool) -> StepRow:
             scene.step(1.0)
 
     parts: dict[str, list[float]] = {name: [] for name in ("total", "cpu", "kernels", *_PARTS)}
-    # Without the profiler: it takes time itself, most where there is most of Python, and has the system take memory back
-    # between two steps, which a run keeps.
+    # Without the profiler: it takes time itself, most where there is most of Python, and has the system take memory
+    # back between two steps, which a run keeps.
     for count in range(_IDLE + request.repeats):
         wall, cpu = time.perf_counter(), time.process_time()
         step()

@@ -15,7 +15,7 @@ _ROWS_TO_TELL = 4
 
 
 class Milestones:
-    """Rows of the error-against-time curve: at geometric times (1, 1.4, 2, 2.8, 4, ... s) and fixed shares of the run."""
+    """Rows of the error-against-time curve: at geometric times (1, 1.4, 2, 2.8, ... s) and fixed shares of the run."""
 
     def __init__(self, rows: Sequence[dict[str, Any]] = (), given: float | None = None):
         """``given`` is how long the run may take, in seconds, if that is known."""
@@ -46,7 +46,8 @@ class Milestones:
     def gain(self) -> float | None:
         """Decibels by which held-out views were better in the later half of the progress so far than in the earlier.
 
-        The best of each half: single measurements fall out of line. Counted from where the latest stage began; None as long as too little of it has been measured to tell.
+        The best of each half: single measurements fall out of line. Counted from where the latest stage began; None as
+        long as too little of it has been measured to tell.
         """
         stage = [number for number, row in enumerate(self.rows) if row["reason"] == "stage"]
         rows = self.rows[stage[-1] :] if stage else []

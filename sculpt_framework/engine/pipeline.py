@@ -11,7 +11,7 @@ from torch import Tensor
 from sculpt_framework.config import MethodConfig, StageConfig
 from sculpt_framework.cpu_kernels import CompileSeconds
 from sculpt_framework.engine import announcements, assembly, foresight
-from sculpt_framework.engine.assembly import Parts, build_parts, find_seeds, fit_seeds, refine_in, spare_cells, split_views
+from sculpt_framework.engine.assembly import Parts
 from sculpt_framework.engine.clock import TrainingClock, process_start
 from sculpt_framework.engine.events import Event, EventName
 from sculpt_framework.engine.images import TrainingImage, pixel_footprint, prepare_image
@@ -70,11 +70,11 @@ class Pipeline:
         self._should_stop = should_stop
         self._save = save
         self._generator = torch.Generator().manual_seed(config.seed)
-        self._parts = build_parts(config, self.scene.box, self._generator, processes)
+        self._parts = assembly.build_parts(config, self.scene.box, self._generator, processes)
         self._trainer = self._parts.trainer
         end = self.clock.deadline(config.max_time, share_left=0.08, seconds_left=3.0)
         self._schedule = Schedule(config.trainer, end)
-        chosen, held_out = split_views(len(self.scene.train), config.trainer.holdout_every)
+        chosen, held_out = assembly.split_views(len(self.scene.train), config.trainer.holdout_every)
         self._views = [self.scene.train[index] for index in chosen]
         self._held_out = [self._whole_image(self.scene.train[index]) for index in held_out[:_HELD_OUT_AT_MOST]]
         reference = config.reference or self.scene.reference_mesh
@@ -160,11 +160,11 @@ class Pipeline:
             return stage
         self._set_level(stage.level)
         if self._trainer.seeds is None:
-            find_seeds(self._parts)
+            assembly.find_seeds(self._parts)
         self._load_images(stage)
         self._trainer.view_order = []
         self._stage_index = index
-        self._announce_stage(index)
+        self._emit("stage", announcements.stage_entered(index, self.config.trainer, self._trainer.extractor.grid))
         self._evaluate("stage", progress)
         if self.outer == 0:
             with self.clock.pause(), undisturbed(self._trainer):
@@ -172,14 +172,11 @@ class Pipeline:
         self._keep_good()
         return stage
 
-    def _announce_stage(self, index: int) -> None:
-        self._emit("stage", announcements.stage_entered(index, self.config.trainer, self._trainer.extractor.grid))
-
     def _load_images(self, stage: StageConfig) -> None:
         box, device, number = self.scene.box, self._parts.device, self.config.trainer.stages.index(stage)
         foresight.check_memory(self._trainer, self._views, box, stage, number, self.warn)
         self._images = [prepare_image(view, box, stage.image_scale, device) for view in self._views]
-        spare_cells(self._trainer.extractor, self.config.trainer, self._images)
+        assembly.spare_cells(self._trainer.extractor, self.config.trainer, self._images)
         self._trainer.scene.blur = math.sqrt(self.config.trainer.low_pass_px2) * pixel_footprint(self._images)
 
     def _set_level(self, level: int) -> None:
@@ -218,7 +215,7 @@ class Pipeline:
         self._trainer.extractor.set_grid(grid)
         self._trainer.field.set_detail(self._parts.detail)
         restore(self._trainer, self._generator, state)
-        fit_seeds(self._parts)
+        assembly.fit_seeds(self._parts)
         self._stage_index = index
 
     def _finish(self) -> Reconstruction:
@@ -283,13 +280,10 @@ class Pipeline:
     def _end_if_level(self) -> None:
         """Have a run that gains no more come to its end, and its rates with it."""
         config, gain = self.config.trainer, self._milestones.gain()
-        last = self._stage_index == len(config.stages) - 1
-        if gain is None or gain >= config.level_gain_db or self.outer < config.outer_steps or not last:
-            return
-        factor = self._schedule.cut_short()
+        last = self._stage_index == len(config.stages) - 1 and self.outer >= config.outer_steps
+        factor = self._schedule.cut_short() if last and gain is not None and gain < config.level_gain_db else None
         if factor is not None:
             self._milestones.cut_short(factor)
-            self._pace = Pace()
             self._emit("decision", {"item": "time", "value": "end early", "gain_db": gain, "run_cut_to": 1 / factor})
 
     def _evaluate(self, reason: str, progress: float) -> None:
@@ -363,7 +357,7 @@ class Pipeline:
 
     def refine(self, boxes: Sequence[RefineBox]) -> None:
         """Refine in these boxes (object frame) and nowhere else from now on. Raises ValueError as ``refine_in``."""
-        self._parts = refine_in(self._parts, boxes, max(stage.level for stage in self.config.trainer.stages))
+        self._parts = assembly.refine_in(self._parts, boxes, max(stage.level for stage in self.config.trainer.stages))
 
     def current(self) -> Reconstruction:
         """The surface as of the latest extraction. Raises ValueError before the first."""
@@ -407,7 +401,8 @@ class Pipeline:
         self._load_images(self.config.trainer.stages[self._stage_index])
         self.clock.go_on_from(progress.trained_seconds)
         self._emit("action", {"message": f"going on after outer step {self.outer}"})
-        self._announce_stage(self._stage_index)
+        index = self._stage_index
+        self._emit("stage", announcements.stage_entered(index, self.config.trainer, self._trainer.extractor.grid))
         self._keep_good()
 
     def at_result(self, saved: tuple[Mapping[str, Tensor], Progress]) -> tuple[BiLevelTrainer, float | None]:

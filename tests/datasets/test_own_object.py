@@ -30,7 +30,7 @@ def _run(words: list[str], folder: Path) -> str:
     return done.stdout
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_four_steps(tmp_path: Path):
     pytest.importorskip("xatlas")
     shots = make_shots(24, 160)

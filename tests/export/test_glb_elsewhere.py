@@ -3,18 +3,13 @@
 pytest -m "slow or browser" tests/export; the screenshots are kept in outputs/export-tests.
 """
 
-import functools
-import json
-import subprocess
-import threading
 from collections.abc import Iterator
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-from npm import install
+from elsewhere import page_of, served, validated
 from small_scene import ball, color_at, views_of_ball
 
 from sculpt_framework.demo_scenes.cameras import demo_cameras
@@ -22,43 +17,10 @@ from sculpt_framework.export.assets import TexturedMesh, write_textured_glb
 from sculpt_framework.export.mesh_files import srgb_to_linear, write_mesh_glb
 from sculpt_framework.export.pictures import paint
 from sculpt_framework.export.texture import bake, unwrap
-from sculpt_framework.types import Camera
 from tests.viewer.chromium import Chromium, Page
 
 PICTURES = Path(__file__).parents[2] / "outputs" / "export-tests"
 SIDE = 480
-_VALIDATE = """
-    const bytes = new Uint8Array(require('fs').readFileSync(process.argv[2]));
-    require('gltf-validator').validateBytes(bytes).then(report => console.log(JSON.stringify(report)));
-"""
-_PAGE = """<!doctype html>
-<style>body { margin: 0; background: #fff } canvas { display: block }</style>
-<script type="importmap">{"imports": {
-    "three": "/node_modules/three/build/three.module.js", "three/addons/": "/node_modules/three/examples/jsm/"
-}}</script>
-<script type="module">
-    import * as THREE from 'three';
-    import { GLTFLoader } from 'three/addons/loaders/GLTFLoader.js';
-    const renderer = new THREE.WebGLRenderer({ antialias: true });
-    renderer.setSize(SIDE, SIDE);
-    renderer.setClearColor(0xffffff);
-    document.body.append(renderer.domElement);
-    const camera = new THREE.PerspectiveCamera(FIELD, 1, 0.1, 100);
-    camera.matrixAutoUpdate = false;
-    camera.matrix.set(...POSE);
-    camera.updateMatrixWorld(true);
-    const scene = new THREE.Scene();
-    // Light from everywhere: what is not unlit then shows its own colour, too.
-    scene.add(new THREE.AmbientLight(0xffffff, Math.PI));
-    new GLTFLoader().load('FILE', asset => {
-        scene.add(asset.scene);
-        renderer.render(scene, camera);
-        const kinds = [];
-        asset.scene.traverse(each => { if (each.isMesh) kinds.push(each.material.type); });
-        document.body.append('drawn: ' + kinds.join(', '));
-    }, undefined, error => document.body.append('drawn: nothing, ' + error));
-</script>
-"""
 
 
 @pytest.fixture(scope="module")
@@ -83,12 +45,7 @@ def folder(textured: TexturedMesh, tmp_path_factory: pytest.TempPathFactory) -> 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["plain", "colored", "textured"])
 def test_valid_to_the_validator_of_the_format(name: str, folder: Path):
-    install(folder, "gltf-validator", "2.0.0-dev.3.10")
-    script = folder / "validate.cjs"
-    script.write_text(_VALIDATE)
-    words = ["node", script, folder / f"{name}.glb"]
-    done = subprocess.run(words, cwd=folder, capture_output=True, text=True, timeout=120, check=True)
-    report = json.loads(done.stdout)
+    report = validated(folder, f"{name}.glb")
     assert report["info"]["version"] == "2.0"
     assert report["info"]["totalTriangleCount"] == len(ball(3)[1])
     found = [message for message in report["issues"]["messages"] if message["severity"] < 2]
@@ -105,30 +62,8 @@ def browser() -> Iterator[Chromium]:
 
 @pytest.fixture(scope="module")
 def site(folder: Path) -> Iterator[str]:
-    """Address of a server of the folder, with three.js in it."""
-    install(folder, "three", "0.187.0")
-
-    class Quiet(SimpleHTTPRequestHandler):
-        def log_message(self, format: str, *args: object) -> None:
-            pass
-
-    server = ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(Quiet, directory=str(folder)))
-    thread = threading.Thread(target=server.serve_forever)
-    thread.start()
-    yield f"http://127.0.0.1:{server.server_port}"
-    server.shutdown()
-    thread.join()
-    server.server_close()
-
-
-def _page(camera: Camera, file: str) -> str:
-    pose = np.linalg.inv(camera.world_to_camera.double().numpy()) @ np.diag([1.0, -1.0, -1.0, 1.0])
-    field = np.degrees(2 * np.arctan(0.5 * camera.height / camera.fy))
-    values = {"SIDE": SIDE, "FIELD": field, "POSE": pose.ravel().tolist(), "FILE": f"/{file}"}
-    text = _PAGE
-    for name, value in values.items():
-        text = text.replace(name, str(value))
-    return text
+    with served(folder) as address:
+        yield address
 
 
 @pytest.mark.browser
@@ -137,7 +72,7 @@ def test_three_js_shows_what_we_draw(
     name: str, folder: Path, textured: TexturedMesh, site: str, browser: Chromium, request: pytest.FixtureRequest
 ):
     camera = demo_cameras(1, SIDE, offset=3)[0]
-    (folder / f"{name}.html").write_text(_page(camera, f"{name}.glb"))
+    (folder / f"{name}.html").write_text(page_of(camera, f"{name}.glb", SIDE))
     page: Page = browser.open(f"{site}/{name}.html")
     request.addfinalizer(page.close)
     page.wait_for("drawn:")

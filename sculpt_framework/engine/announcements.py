@@ -60,6 +60,11 @@ def stage_entered(index: int, trainer: TrainerConfig, grid: Grid) -> dict[str, A
     }
 
 
+def cut_short(gain: float, factor: float) -> dict[str, Any]:
+    """Of a run that ends early: what the later half brought, and the share of its time that it takes now."""
+    return {"item": "time", "value": "end early", "gain_db": gain, "run_cut_to": 1 / factor}
+
+
 def sizes(trainer: BiLevelTrainer, surface: Surface) -> dict[str, Any]:
     """How much there is of everything, for a row of the curve."""
     faces = surface.faces.shape[0]

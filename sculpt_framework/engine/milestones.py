@@ -4,14 +4,18 @@ import math
 from collections.abc import Sequence
 from typing import Any, Literal
 
-_SHARES = (0.25, 0.5, 0.75, 0.9)
+_SHARES = (0.25, 0.5)
 """Shares of the run at which a measurement is owed, whatever it costs; its end is measured anyway."""
-_COST_AT_MOST = 0.08
+_LATE_SHARES = (0.75, 0.9)
+"""The same where steps are counted: no measurement that depends on the clock may choose the state there."""
+_COST_AT_MOST = 0.06
 """Of training time so far, for the measurements in between."""
 _COST_AHEAD = 0.03
 """Of the time a run is given, which they may take before so much was trained: the first seconds tell most."""
 _ROWS_TO_TELL = 4
 """Measurements of a stage before its curve can be called level."""
+_FARTHEST = 1 / 12
+"""Of the time a run is given: no two measurements are farther apart, if they may be had."""
 
 
 class Milestones:
@@ -21,6 +25,8 @@ class Milestones:
         """``given`` is how long the run may take, in seconds, if that is known."""
         self.rows: list[dict[str, Any]] = list(rows)
         self._ahead = _COST_AHEAD * (given or 0.0)
+        self._farthest = _FARTHEST * given if given else math.inf
+        self._shares = _SHARES if given else (*_SHARES, *_LATE_SHARES)
         self._next_second = 1.0
 
     def due(self, progress: float, trained: float, spent: float) -> Literal["share", "time"] | None:
@@ -29,12 +35,12 @@ class Milestones:
         Shares come first: whether one is measured must not depend on how fast the machine is.
         """
         done = self.rows[-1]["progress"] if self.rows else 0.0
-        if any(done < share <= progress for share in _SHARES):
+        if any(done < share <= progress for share in self._shares):
             return "share"
         if trained < self._next_second:
             return None
         while self._next_second <= trained:
-            self._next_second *= math.sqrt(2)
+            self._next_second += min((math.sqrt(2) - 1) * self._next_second, self._farthest)
         return "time" if spent <= max(_COST_AT_MOST * trained, self._ahead) else None
 
     def add(self, progress: float, row: dict[str, Any]) -> None:
@@ -43,16 +49,16 @@ class Milestones:
     def latest(self, column: str) -> Any:
         return self.rows[-1][column] if self.rows else None
 
-    def gain(self) -> float | None:
+    def gain(self) -> float:
         """Decibels by which held-out views were better in the later half of the progress so far than in the earlier.
 
-        The best of each half: single measurements fall out of line. Counted from where the latest stage began; None as
-        long as too little of it has been measured to tell.
+        The best of each half: single measurements fall out of line. Counted from where the latest stage began; infinite
+        as long as too little of it has been measured to tell.
         """
         stage = [number for number, row in enumerate(self.rows) if row["reason"] == "stage"]
         rows = self.rows[stage[-1] :] if stage else []
         if len(rows) < _ROWS_TO_TELL or rows[-1]["psnr"] is None:
-            return None
+            return math.inf
         half = (rows[0]["progress"] + rows[-1]["progress"]) / 2
         early = [row["psnr"] for row in rows if row["progress"] <= half]
         return max(row["psnr"] for row in rows[len(early) :]) - max(early)

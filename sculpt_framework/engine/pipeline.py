@@ -35,9 +35,9 @@ from sculpt_framework.geometry.band import cells_at_level
 from sculpt_framework.geometry.grid import RefineBox
 from sculpt_framework.types import Scene, Surface, View
 
-_CURVE_SAMPLES = 20_000
-_HELD_OUT_AT_MOST = 10
-"""More views than this add evaluation time, not knowledge."""
+_CURVE_SAMPLES, _RESULT_SAMPLES = 20_000, 200_000
+_HELD_OUT_AT_MOST, _HELD_OUT_PIXELS = 10, 4_000_000
+"""More views, or more pixels in them, add evaluation time, not knowledge."""
 _RECOVERIES_AT_MOST = 3
 _UNSTABLE = (FloatingPointError, EmptySurfaceError)
 """What a step or a measurement raises when the optimisation has gone wrong."""
@@ -76,7 +76,8 @@ class Pipeline:
         self._schedule = Schedule(config.trainer, end)
         chosen, held_out = assembly.split_views(len(self.scene.train), config.trainer.holdout_every)
         self._views = [self.scene.train[index] for index in chosen]
-        self._held_out = [self._whole_image(self.scene.train[index]) for index in held_out[:_HELD_OUT_AT_MOST]]
+        looked_at = assembly.some_views(self.scene.train, held_out, _HELD_OUT_AT_MOST, _HELD_OUT_PIXELS)
+        self._held_out = [self._whole_image(self.scene.train[index]) for index in looked_at]
         reference = config.reference or self.scene.reference_mesh
         self._reference = None if reference is None else MeasuredMesh(load_mesh(reference), _CURVE_SAMPLES)
         shown = self._held_out[0] if self._held_out else self._whole_image(self._views[0])
@@ -228,8 +229,7 @@ class Pipeline:
         except _UNSTABLE as error:
             self._recover(error)
             self._keep_better(progress)
-        surface = self._follow_surface()
-        kept = capture(trainer, self._stage_index, self._generator)
+        surface, kept = self._follow_surface(), capture(trainer, self._stage_index, self._generator)
         try:
             self._polish(surface)
         except FloatingPointError as error:
@@ -281,10 +281,9 @@ class Pipeline:
         """Have a run that gains no more come to its end, and its rates with it."""
         config, gain = self.config.trainer, self._milestones.gain()
         last = self._stage_index == len(config.stages) - 1 and self.outer >= config.outer_steps
-        factor = self._schedule.cut_short() if last and gain is not None and gain < config.level_gain_db else None
-        if factor is not None:
+        if last and gain < config.level_gain_db and (factor := self._schedule.cut_short()) is not None:
             self._milestones.cut_short(factor)
-            self._emit("decision", {"item": "time", "value": "end early", "gain_db": gain, "run_cut_to": 1 / factor})
+            self._emit("decision", announcements.cut_short(gain, factor))
 
     def _evaluate(self, reason: str, progress: float) -> None:
         """Measure the current surface on held-out views and against the reference; the clock stands still meanwhile."""
@@ -298,10 +297,13 @@ class Pipeline:
 
     def _measured(self) -> dict[str, Any]:
         trainer, surface = self._trainer, self._result or self._follow_surface()
-        rasterizer, low_pass = self._parts.rasterizer, self.config.trainer.low_pass_px2
-        row = splat_measures(rasterizer, trainer.scene, surface, self._held_out, low_pass)
+        low_pass = self.config.trainer.low_pass_px2
+        row = splat_measures(self._parts.rasterizer, trainer.scene, surface, self._held_out, low_pass)
         row = announcements.sizes(trainer, surface) | {"t_cpu_s": self.clock.cpu_seconds} | row
-        return row | mesh_measures(world_mesh(surface, self.scene.box)[0], self._reference, _CURVE_SAMPLES)
+        mesh, reference = world_mesh(surface, self.scene.box)[0], self._reference
+        if self._result is None:
+            return row | mesh_measures(mesh, reference, _CURVE_SAMPLES)
+        return row | result_measures(mesh, None if reference is None else reference.with_samples(_RESULT_SAMPLES))
 
     def _keep_best(self, reason: str, score: float | None) -> None:
         """Keep the state if its held-out views are the best of the last stage so far.
@@ -318,7 +320,6 @@ class Pipeline:
         """Measure the result and tell that the run is over and where its files are; the last event but for warnings."""
         self._evaluate("result", self._schedule.progress(self.outer))
         final, mesh = dict(self._milestones.rows[-1]), result.mesh
-        final |= result_measures(mesh, None if self._reference is None else self._reference.mesh)
         final |= {"faces": len(mesh.faces), "gaussians": len(result.gaussians), "rss_mb": resident_megabytes()}
         shares = self._milestones.shares()
         data = announcements.run_ended(mesh, status=self._status, failure=self.failure, final=final, milestones=shares)
@@ -408,8 +409,7 @@ class Pipeline:
     def at_result(self, saved: tuple[Mapping[str, Tensor], Progress]) -> tuple[BiLevelTrainer, float | None]:
         """The trainer as the result of a finished run was made by it, and the psnr of that on the held-out views."""
         self._resume(*saved)
-        psnr = self._keep_better(1.0)
-        return self._trainer, psnr
+        return self._trainer, self._keep_better(1.0)
 
     def _keep_good(self) -> None:
         self._last_good = capture(self._trainer, self._stage_index, self._generator)

@@ -17,6 +17,7 @@ lie about 0.5 sqrt(S / N) apart, ``point_to_point_floor``, 0.004 for a unit sphe
 """
 
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -113,6 +114,14 @@ class MeasuredMesh:
         self.mesh = Mesh(vertices=mesh.vertices, faces=mesh.faces[areas > 0])
         self.area = float(areas.sum())
         self.samples = sample_surface(self.mesh, samples, seed)
+
+    def with_samples(self, samples: int, seed: int = 0) -> "MeasuredMesh":
+        """The same mesh, its tree shared, with other samples."""
+        other = copy(self)
+        other.__dict__["_triangle_tree"] = self._triangle_tree
+        other.__dict__.pop("_sample_tree", None)
+        other.samples = sample_surface(self.mesh, samples, seed)
+        return other
 
     @cached_property
     def _triangle_tree(self) -> igl.AABB:

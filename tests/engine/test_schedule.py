@@ -1,15 +1,18 @@
 """When what happens: progress, stages, rates, measurements, clocks."""
 
+import itertools
+import math
 import time
 
 import pytest
 from small_runs import ONE_STAGE, TWO_STAGES, small_config
 
 from sculpt_framework.config import StageConfig
-from sculpt_framework.engine.assembly import split_views
+from sculpt_framework.engine.assembly import some_views, split_views
 from sculpt_framework.engine.clock import TrainingClock, process_start
 from sculpt_framework.engine.milestones import Milestones
 from sculpt_framework.engine.schedule import Schedule
+from sculpt_framework.types import Scene
 
 
 def test_steps_make_progress():
@@ -109,6 +112,25 @@ def test_shares_are_measured_however_fast_the_machine_is():
         assert measured == [25, 50, 75, 90]
 
 
+def test_a_run_of_known_length_is_measured_twelve_times():
+    milestones = Milestones(given=120.0)
+    times = [second for second in range(1, 121) if milestones.due(0.0, float(second), 0.0) == "time"]
+    assert times[:5] == [1, 2, 3, 4, 6]
+    assert {later - before for before, later in itertools.pairwise(times[9:])} == {10}
+    free = Milestones()
+    times = [second for second in range(1, 1000) if free.due(0.0, float(second), 0.0) == "time"]
+    assert times[-1] > 1.4 * times[-2]
+
+
+def test_a_run_of_known_length_owes_no_late_shares():
+    milestones, measured = Milestones(given=100.0), []
+    for step in range(1, 101):
+        if milestones.due(step / 100, 0.0, 0.0) == "share":
+            measured.append(step)
+            milestones.add(step / 100, {})
+    assert measured == [25, 50]
+
+
 def test_times_are_measured_where_that_is_cheap():
     milestones = Milestones()
     assert milestones.due(0.01, 0.5, 0.0) is None
@@ -123,7 +145,7 @@ def test_a_run_of_known_length_may_measure_ahead():
     assert milestones.due(0.01, 1.1, 2.0) == "time"
     assert milestones.due(0.02, 2.1, 3.5) == "time"
     assert milestones.due(0.03, 4.1, 4.0) is None
-    assert milestones.due(0.1, 60.0, 4.0) == "time"
+    assert milestones.due(0.1, 70.0, 4.0) == "time"
 
 
 def test_milestones_are_the_first_rows_at_a_share_and_the_last_of_all():
@@ -156,13 +178,13 @@ def test_the_gain_is_that_of_the_later_half_over_the_earlier():
 
 
 def test_there_is_no_gain_to_tell_without_measurements():
-    assert Milestones().gain() is None
-    assert curve((0.0, 20.0), (0.1, 30.0), (0.2, 33.0)).gain() is None
-    assert curve((0.0, None), (0.1, None), (0.2, None), (0.3, None), (0.4, None)).gain() is None
+    assert Milestones().gain() == math.inf
+    assert curve((0.0, 20.0), (0.1, 30.0), (0.2, 33.0)).gain() == math.inf
+    assert curve((0.0, None), (0.1, None), (0.2, None), (0.3, None), (0.4, None)).gain() == math.inf
     # Only the latest stage counts.
     milestones = curve((0.0, 20.0), (0.1, 30.0), (0.2, 33.0), (0.3, 34.0), (0.4, 34.5))
     milestones.add(0.5, {"reason": "stage", "psnr": 34.0})
-    assert milestones.gain() is None
+    assert milestones.gain() == math.inf
 
 
 def test_what_is_cut_short_is_further_along():
@@ -203,3 +225,13 @@ def test_views_are_held_out_evenly():
     assert sorted([*chosen, *held]) == list(range(25))
     assert split_views(9, 10) == (range(9), ())
     assert split_views(30, 0) == (range(30), ())
+
+
+def test_held_out_views_are_as_many_as_may_be_looked_at(scene: Scene):
+    views = [scene.train[0]] * 20
+    pixels = views[0].camera.width * views[0].camera.height
+    chosen = list(range(5, 20))
+    assert some_views(views, chosen, 10, 100 * pixels) == chosen[:10]
+    assert some_views(views, chosen, 10, 4 * pixels) == chosen[:4]
+    assert some_views(views, chosen, 10, 1) == chosen[:3]
+    assert some_views(views, chosen[:2], 10, 1) == chosen[:2]

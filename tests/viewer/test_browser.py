@@ -232,6 +232,7 @@ def test_cameras_and_plots(run: Run, chromium: Chromium):
     page.wait_for("Cameras")
     page.click("Cameras")
     page.wait_for("views to learn from")
+    eventually(lambda: colored_share(page) > 0.02)
     page.click("Look from there")
     page.wait_for("mean difference")
     time.sleep(2.0)

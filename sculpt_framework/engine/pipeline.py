@@ -281,7 +281,7 @@ class Pipeline:
         """Have a run that gains no more come to its end, and its rates with it."""
         config, gain = self.config.trainer, self._milestones.gain()
         last = self._stage_index == len(config.stages) - 1 and self.outer >= config.outer_steps
-        if last and gain < config.level_gain_db and (factor := self._schedule.cut_short()) is not None:
+        if last and gain < config.level_gain_db > 0 and (factor := self._schedule.cut_short()) is not None:
             self._milestones.cut_short(factor)
             self._emit("decision", announcements.cut_short(gain, factor))
 

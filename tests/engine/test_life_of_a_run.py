@@ -112,24 +112,26 @@ def test_time_left_is_the_share_that_was_left(scene: Scene):
     assert all(event.data["progress"] >= 0.6 for event in events if event.event == "evaluation")
 
 
-@pytest.mark.parametrize("level_gain_db", [1000.0, 0.0])
-def test_a_curve_that_is_level_ends_a_run_early(scene: Scene, level_gain_db: float):
-    limit = 12.0
+@pytest.mark.parametrize(("level_gain_db", "limit"), [(0.1, 10_000.0), (0.0, 8.0)])
+def test_a_curve_that_is_level_ends_a_run_early(
+    scene: Scene, level_gain_db: float, limit: float, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(Milestones, "gain", lambda self: -1.0)
     events: list[Event] = []
-    config = small_config(max_time=limit, outer_steps=8, level_gain_db=level_gain_db, polish_steps=0)
+    config = small_config(max_time=limit, outer_steps=4, level_gain_db=level_gain_db, polish_steps=0)
     Pipeline(config, scene=scene, emit=events.append, started=time.monotonic()).train()
     told = [event for event in events if event.event == "decision" and event.data["item"] == "time"]
-    steps = [event for event in events if event.event == "outer_step"]
     if level_gain_db == 0.0:
+        # Not asked for: all the time is taken.
         assert not told
-        assert steps[-1].t_wall > 0.6 * limit
         return
+    # After as many steps as it takes anyway, it ends in a fifth of its new length, not after hours.
     [early] = told
-    assert early.outer >= 8
-    assert early.data["gain_db"] < level_gain_db
-    # It ends as its new length says: with a fifth of that still to go.
-    assert early.t_wall < steps[-1].t_wall < 0.6 * limit
-    assert steps[-1].data["progress"] == pytest.approx(1.0, abs=0.1)
+    assert early.outer >= 4
+    last = events[-1]
+    assert last.data["progress"] == 1.0
+    assert last.t_wall < 0.1 * limit
+    assert early.data["run_cut_to"] == pytest.approx(early.t_wall / 0.8 / limit, rel=0.5)
 
 
 # -- run directories -------------------------------------------------------------------------------------------------

@@ -61,7 +61,8 @@ class Milestones:
             return math.inf
         half = (rows[0]["progress"] + rows[-1]["progress"]) / 2
         early = [row["psnr"] for row in rows if row["progress"] <= half]
-        return max(row["psnr"] for row in rows[len(early) :]) - max(early)
+        later = [row["psnr"] for row in rows if row["progress"] > half]
+        return max(later) - max(early) if later else math.inf
 
     def cut_short(self, factor: float) -> None:
         """The run has become shorter: all progress so far was that much more of it."""

@@ -180,6 +180,7 @@ def test_the_gain_is_that_of_the_later_half_over_the_earlier():
 def test_there_is_no_gain_to_tell_without_measurements():
     assert Milestones().gain() == math.inf
     assert curve((0.0, 20.0), (0.1, 30.0), (0.2, 33.0)).gain() == math.inf
+    assert curve((1.0, 20.0), (1.0, 30.0), (1.0, 33.0), (1.0, 34.0)).gain() == math.inf
     assert curve((0.0, None), (0.1, None), (0.2, None), (0.3, None), (0.4, None)).gain() == math.inf
     # Only the latest stage counts.
     milestones = curve((0.0, 20.0), (0.1, 30.0), (0.2, 33.0), (0.3, 34.0), (0.4, 34.5))

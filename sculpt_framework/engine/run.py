@@ -59,6 +59,8 @@ def run(config: MethodConfig, *, resume: Path | None, started: float) -> None:
     the best there was by then.
     """
     if resume is not None and run_status(resume) == "finished":
+        # Killed while its report was written, it has left that aside.
+        remove_partial_files(resume)
         sys.stdout.write(f"{resume} has finished already; its mesh is {resume / MESH_NAME}\n")
         return
     saved = None if resume is None else read_checkpoint(resume / CHECKPOINTS)

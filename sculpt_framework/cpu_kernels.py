@@ -8,9 +8,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import numba
 import torch
-from numba.core import event as numba_event
+
+from sculpt_framework.memory import collector_paused
+
+with collector_paused():
+    import numba
+    from numba.core import event as numba_event
+    from numba.core.registry import cpu_target
 
 # numba makes the attributes of its config when it is loaded, which the checker does not see.
 # pyright: reportAttributeAccessIssue=false, reportPrivateImportUsage=false
@@ -24,9 +29,18 @@ def kernel_cache(name: str, sources: Path) -> Iterator[None]:
     go on using code that was compiled with constants another file no longer has. A cache folder the user has set
     (NUMBA_CACHE_DIR) is left as it is. Says so, once, when nothing is compiled yet.
     """
-    if numba.config.CACHE_DIR:
-        yield
-        return
+    with collector_paused():
+        # What numba would load at the first call of a kernel.
+        cpu_target.target_context.refresh()
+        if numba.config.CACHE_DIR:
+            yield
+            return
+        with _kept_in_user_folder(name, sources):
+            yield
+
+
+@contextmanager
+def _kept_in_user_folder(name: str, sources: Path) -> Iterator[None]:
     folder = _user_folder() / f"{name}-{_digest(sources)}"
     if not folder.is_dir():
         message = "compiling the CPU kernels of '%s' on first use, kept in %s"

@@ -1,8 +1,10 @@
 """How much memory this process has used, and may still have: of the machine, and under the limits it runs with."""
 
+import gc
 import resource
 import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 
 _GROUPS = (
@@ -32,6 +34,19 @@ def peak_bytes(root: Path = Path("/")) -> int:
         if line.startswith("VmHWM:"):
             return int(line.split()[1]) << 10
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 2**10)
+
+
+@contextmanager
+def collector_paused() -> Iterator[None]:
+    """No garbage is collected inside. For loading libraries, all of which stays: looking through it over and over
+    takes a fifth of the time."""
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collects:
+            gc.enable()
 
 
 def in_words(size: int | float) -> str:

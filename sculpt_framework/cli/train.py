@@ -4,6 +4,7 @@ Up to the start of training nothing here imports torch: help, mistakes in option
 runtime libraries read when they are loaded, all come before.
 """
 
+import gc
 import inspect
 import os
 import sys
@@ -18,6 +19,7 @@ from sculpt_framework.config import MethodConfig
 from sculpt_framework.engine.clock import process_start
 from sculpt_framework.engine.output import check_output
 from sculpt_framework.errors import CheckpointError, ConfigError, DeviceError, SculptError
+from sculpt_framework.memory import collector_paused
 from sculpt_framework.serialization import read_config
 from sculpt_framework.validation import check
 
@@ -51,8 +53,10 @@ def train() -> None:
     limit_threads(request.config.threads)
     check_device(request.config)
 
-    from sculpt_framework.engine.run import run
-
+    with collector_paused():
+        from sculpt_framework.engine.run import run
+    # What is loaded stays: the collector need not look through it again in the middle of training.
+    gc.freeze()
     run(with_absolute_paths(request.config), resume=request.resume, started=started)
 
 

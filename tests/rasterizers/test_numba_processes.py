@@ -36,7 +36,7 @@ import sculpt_framework
 import torch
 from sculpt_framework.types import Camera
 from sculpt_plugins.rasterizers.numba.config import NumbaRasterizerConfig
-started, cpu = time.perf_counter(), time.process_time()
+cpu = time.process_time()
 rasterizer = NumbaRasterizerConfig().build(torch.device("cpu"))
 pose = torch.eye(4)
 pose[2, 3] = 2.0
@@ -47,11 +47,17 @@ output = rasterizer.rasterize(
     low_pass_px2=0.3, alpha_max=0.999,
 )
 output.features.square().sum().backward()
+cpu = time.process_time() - cpu
+from numba.core.dispatcher import Dispatcher
+from sculpt_plugins.rasterizers.numba import backward, forward, projection, sorting
+kernels = {f"{module.__name__}.{name}": kernel for module in (projection, sorting, forward, backward)
+           for name, kernel in vars(module).items() if isinstance(kernel, Dispatcher) and kernel.signatures}
 print(json.dumps({
     "package": sculpt_framework.__file__,
-    "alpha": float(output.alpha.max()),
-    "wall": time.perf_counter() - started,
-    "cpu": time.process_time() - cpu,
+    "alpha": float(output.alpha.max().detach()),
+    "cpu": cpu,
+    "loaded": sum(sum(kernel.stats.cache_hits.values()) for kernel in kernels.values()),
+    "compiled": [name for name, kernel in kernels.items() if kernel.stats.cache_misses],
 }))
 """
 
@@ -107,8 +113,7 @@ def test_a_second_process_starts_fast_also_from_a_read_only_folder(tmp_path: Pat
         folder.chmod(0o555)
     try:
         environment = {"PYTHONPATH": str(site), "XDG_CACHE_HOME": str(cache), "PYTHONDONTWRITEBYTECODE": "1"}
-        lines = [_run(FIRST_RENDERING, tmp_path, **environment).splitlines()[-1] for _ in range(4)]
-        first, *others = map(json.loads, lines)
+        first, second = (json.loads(_run(FIRST_RENDERING, tmp_path, **environment).splitlines()[-1]) for _ in range(2))
     finally:
         for folder in folders:
             folder.chmod(0o755)
@@ -116,7 +121,9 @@ def test_a_second_process_starts_fast_also_from_a_read_only_folder(tmp_path: Pat
     # Those who may write everywhere must not have either.
     assert sorted(site.rglob("*")) == before
     assert list(cache.rglob("*.nbi"))
-    assert all(first["alpha"] == other["alpha"] > 0.5 for other in others)
-    assert first["cpu"] > 3.0, "the first process had nothing to compile"
-    # Wall time, or CPU time where other work keeps the processor busy, of the one that was disturbed least.
-    assert min(min(other["wall"], other["cpu"]) for other in others) < 1.0, others
+    assert first["alpha"] == second["alpha"] > 0.5
+    assert first["loaded"] == 0
+    assert second["compiled"] == []
+    assert len(first["compiled"]) >= second["loaded"] > 0
+    # How long that takes in seconds depends on the machine: docs/measure_loading.py.
+    assert second["cpu"] < 0.1 * first["cpu"]

@@ -18,7 +18,7 @@ from sculpt_framework.geometry.octree_policy import LevelMap, level_map, wanted_
 from sculpt_framework.losses import GeometryLoss, ImageLoss
 from sculpt_framework.rasterizers import Rasterizer
 from sculpt_framework.registry import name_of
-from sculpt_framework.types import Box, Scene, View
+from sculpt_framework.types import Box, Scene
 
 PHOTOMETRIC, SILHOUETTE = "photometric", "silhouette"
 _LIPSCHITZ = 1.5
@@ -207,14 +207,3 @@ def split_views(count: int, every: int) -> tuple[Sequence[int], Sequence[int]]:
         return range(count), ()
     held = set(range(every // 2, count, every))
     return [index for index in range(count) if index not in held], sorted(held)
-
-
-def some_views(views: Sequence[View], chosen: Sequence[int], at_most: int, pixels: int) -> Sequence[int]:
-    """As many of the chosen, from the first on, as have so many pixels together, but at least three of them."""
-    total, out = 0, []
-    for index in chosen[:at_most]:
-        total += views[index].camera.width * views[index].camera.height
-        if len(out) >= 3 and total > pixels:
-            break
-        out.append(index)
-    return out

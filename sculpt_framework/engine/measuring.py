@@ -1,18 +1,75 @@
-"""What a run measures of itself: held-out views, and the memory it takes."""
+"""What a run measures of itself: held-out views, distance to the reference, and the memory it takes."""
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import torch
 
+from sculpt_framework.config import MethodConfig
 from sculpt_framework.engine.gaussian_scene import GaussianScene
-from sculpt_framework.engine.images import TrainingImage
-from sculpt_framework.engine.reconstruction import object_gaussians
+from sculpt_framework.engine.images import TrainingImage, prepare_image
+from sculpt_framework.engine.reconstruction import object_gaussians, world_mesh
+from sculpt_framework.evaluation.geometry import MeasuredMesh
 from sculpt_framework.evaluation.images import mask_iou, psnr, ssim
+from sculpt_framework.evaluation.mesh import Mesh, load_mesh
+from sculpt_framework.evaluation.mesh_report import mesh_measures, result_measures
 from sculpt_framework.memory import peak_bytes
 from sculpt_framework.rasterizers import Rasterizer
-from sculpt_framework.types import Gaussians, Surface
+from sculpt_framework.types import Gaussians, Scene, Surface, View
+
+_CURVE_SAMPLES, _RESULT_SAMPLES = 20_000, 200_000
+_VIEWS_AT_MOST, _PIXELS_AT_MOST = 10, 4_000_000
+"""More held-out views, or more pixels in them, add evaluation time, not knowledge."""
+
+
+class Yardstick:
+    """What a run is held against: views it does not learn from and, where there is one, the reference mesh."""
+
+    def __init__(
+        self, config: MethodConfig, scene: Scene, held_out: Sequence[int], rasterizer: Rasterizer, device: torch.device
+    ):
+        """``held_out`` are numbers of train views; only some of them are looked at."""
+        views = some_views([scene.train[number] for number in held_out], _VIEWS_AT_MOST, _PIXELS_AT_MOST)
+        reference = config.reference or scene.reference_mesh
+        self.images = [prepare_image(view, scene.box, 1.0, device, crop=False) for view in views]
+        self.reference = None if reference is None else MeasuredMesh(load_mesh(reference), _CURVE_SAMPLES)
+        self._rasterizer = rasterizer
+        self._box = scene.box
+        self._low_pass_px2 = config.trainer.low_pass_px2
+
+    def measure(self, scene: GaussianScene, surface: Surface) -> dict[str, Any]:
+        """A row of the curve: the surface (object frame) that the scene's rows are on.
+
+        Raises FloatingPointError where its rendering is not finite.
+        """
+        return self._splats(scene, surface) | mesh_measures(self._mesh(surface), self.reference, _CURVE_SAMPLES)
+
+    def measure_result(self, scene: GaussianScene, surface: Surface) -> dict[str, Any]:
+        """The same of what the run leaves, with all that is measured of a result and as many samples as it deserves."""
+        reference = None if self.reference is None else self.reference.with_samples(_RESULT_SAMPLES)
+        return self._splats(scene, surface) | result_measures(self._mesh(surface), reference)
+
+    def _mesh(self, surface: Surface) -> Mesh:
+        return world_mesh(surface, self._box)[0]
+
+    def _splats(self, scene: GaussianScene, surface: Surface) -> dict[str, float | None]:
+        row = image_measures(self._rasterizer, object_gaussians(scene, surface), self.images, self._low_pass_px2)
+        if row["psnr"] is not None and not math.isfinite(row["psnr"]):
+            raise FloatingPointError("the rendering of a held-out view is not finite")
+        return row
+
+
+def some_views(views: Sequence[View], at_most: int, pixels: int) -> Sequence[View]:
+    """As many, from the first on, as have so many pixels together, but at least three of them."""
+    total, out = 0, []
+    for view in views[:at_most]:
+        total += view.camera.width * view.camera.height
+        if len(out) >= 3 and total > pixels:
+            break
+        out.append(view)
+    return out
 
 
 def image_measures(
@@ -30,20 +87,6 @@ def image_measures(
         if target.alpha is not None:
             scores["iou"].append(mask_iou(rendering.alpha, target.alpha))
     return {name: float(np.mean(values)) if values else None for name, values in scores.items()}
-
-
-def splat_measures(
-    rasterizer: Rasterizer,
-    scene: GaussianScene,
-    surface: Surface,
-    images: Sequence[TrainingImage],
-    low_pass_px2: float,
-) -> dict[str, float | None]:
-    """``image_measures`` of the Gaussians on a surface. Raises FloatingPointError where these are not finite."""
-    row = image_measures(rasterizer, object_gaussians(scene, surface), images, low_pass_px2)
-    if row["psnr"] is not None and not math.isfinite(row["psnr"]):
-        raise FloatingPointError("the rendering of a held-out view is not finite")
-    return row
 
 
 def resident_megabytes() -> float:

@@ -16,28 +16,22 @@ from sculpt_framework.engine.clock import TrainingClock, process_start
 from sculpt_framework.engine.events import Event, EventName
 from sculpt_framework.engine.images import TrainingImage, pixel_footprint, prepare_image
 from sculpt_framework.engine.initial_fit import fit_to_views
-from sculpt_framework.engine.measuring import resident_megabytes, splat_measures
+from sculpt_framework.engine.measuring import Yardstick, resident_megabytes
 from sculpt_framework.engine.milestones import Milestones
 from sculpt_framework.engine.parallel import Alone, Processes, ProcessLost
 from sculpt_framework.engine.polish import polish
-from sculpt_framework.engine.reconstruction import Reconstruction, reconstruct, world_mesh
+from sculpt_framework.engine.reconstruction import Reconstruction, reconstruct
 from sculpt_framework.engine.schedule import Pace, Schedule
 from sculpt_framework.engine.state import Progress, capture, restore, split_best, undisturbed, with_best
 from sculpt_framework.engine.trainer import BiLevelTrainer
 from sculpt_framework.engine.view_pictures import Album
 from sculpt_framework.errors import CheckpointError, TrainingFailed
-from sculpt_framework.evaluation.geometry import MeasuredMesh
-from sculpt_framework.evaluation.mesh import load_mesh
-from sculpt_framework.evaluation.mesh_report import mesh_measures, result_measures
 from sculpt_framework.evaluation.pictures import Picture
 from sculpt_framework.extractors import EmptySurfaceError
 from sculpt_framework.geometry.band import cells_at_level
 from sculpt_framework.geometry.grid import RefineBox
-from sculpt_framework.types import Scene, Surface, View
+from sculpt_framework.types import Scene, Surface
 
-_CURVE_SAMPLES, _RESULT_SAMPLES = 20_000, 200_000
-_HELD_OUT_AT_MOST, _HELD_OUT_PIXELS = 10, 4_000_000
-"""More views, or more pixels in them, add evaluation time, not knowledge."""
 _RECOVERIES_AT_MOST = 3
 _UNSTABLE = (FloatingPointError, EmptySurfaceError)
 """What a step or a measurement raises when the optimisation has gone wrong."""
@@ -76,12 +70,11 @@ class Pipeline:
         self._schedule = Schedule(config.trainer, end)
         chosen, held_out = assembly.split_views(len(self.scene.train), config.trainer.holdout_every)
         self._views = [self.scene.train[index] for index in chosen]
-        looked_at = assembly.some_views(self.scene.train, held_out, _HELD_OUT_AT_MOST, _HELD_OUT_PIXELS)
-        self._held_out = [self._whole_image(self.scene.train[index]) for index in looked_at]
-        reference = config.reference or self.scene.reference_mesh
-        self._reference = None if reference is None else MeasuredMesh(load_mesh(reference), _CURVE_SAMPLES)
-        shown = self._held_out[0] if self._held_out else self._whole_image(self._views[0])
-        self._album = Album(self._parts.rasterizer, shown, self.scene.box, self._reference, config.trainer.low_pass_px2)
+        rasterizer, box, device = self._parts.rasterizer, self.scene.box, self._parts.device
+        self._yardstick = Yardstick(config, self.scene, held_out, rasterizer, device)
+        images = self._yardstick.images
+        shown = images[0] if images else prepare_image(self._views[0], box, 1.0, device, crop=False)
+        self._album = Album(rasterizer, shown, box, self._yardstick.reference, config.trainer.low_pass_px2)
         self._milestones = Milestones(given=config.max_time)
         self._stage_index = -1
         self._images: list[TrainingImage] = []
@@ -165,13 +158,17 @@ class Pipeline:
         self._load_images(stage)
         self._trainer.view_order = []
         self._stage_index = index
-        self._emit("stage", announcements.stage_entered(index, self.config.trainer, self._trainer.extractor.grid))
+        self._announce_stage()
         self._evaluate("stage", progress)
         if self.outer == 0:
             with self.clock.pause(), undisturbed(self._trainer):
                 self._album.begin(self._trainer.scene, self._follow_surface())
         self._keep_good()
         return stage
+
+    def _announce_stage(self) -> None:
+        grid = self._trainer.extractor.grid
+        self._emit("stage", announcements.stage_entered(self._stage_index, self.config.trainer, grid))
 
     def _load_images(self, stage: StageConfig) -> None:
         box, device, number = self.scene.box, self._parts.device, self.config.trainer.stages.index(stage)
@@ -229,7 +226,8 @@ class Pipeline:
         except _UNSTABLE as error:
             self._recover(error)
             self._keep_better(progress)
-        surface, kept = self._follow_surface(), capture(trainer, self._stage_index, self._generator)
+        surface = self._follow_surface()
+        kept = capture(trainer, self._stage_index, self._generator)
         try:
             self._polish(surface)
         except FloatingPointError as error:
@@ -255,7 +253,7 @@ class Pipeline:
         """Colours on the final surface, for as many steps as the method says and the time limit allows."""
         config, rasterizer = self.config.trainer, self._parts.rasterizer
         end = self.clock.deadline(self.config.max_time, share_left=0.025, seconds_left=2.0)
-        told = polish(self._trainer, rasterizer, surface, self._images, self._held_out, config, end)
+        told = polish(self._trainer, rasterizer, surface, self._images, self._yardstick.images, config, end)
         if told is not None:
             self._emit("decision", told)
 
@@ -296,14 +294,14 @@ class Pipeline:
         self._keep_best(reason, row["psnr"])
 
     def _measured(self) -> dict[str, Any]:
-        trainer, surface = self._trainer, self._result or self._follow_surface()
-        low_pass = self.config.trainer.low_pass_px2
-        row = splat_measures(self._parts.rasterizer, trainer.scene, surface, self._held_out, low_pass)
-        row = announcements.sizes(trainer, surface) | {"t_cpu_s": self.clock.cpu_seconds} | row
-        mesh, reference = world_mesh(surface, self.scene.box)[0], self._reference
+        trainer, yardstick = self._trainer, self._yardstick
         if self._result is None:
-            return row | mesh_measures(mesh, reference, _CURVE_SAMPLES)
-        return row | result_measures(mesh, None if reference is None else reference.with_samples(_RESULT_SAMPLES))
+            surface = self._follow_surface()
+            row = yardstick.measure(trainer.scene, surface)
+        else:
+            surface = self._result
+            row = yardstick.measure_result(trainer.scene, surface)
+        return announcements.sizes(trainer, surface) | {"t_cpu_s": self.clock.cpu_seconds} | row
 
     def _keep_best(self, reason: str, score: float | None) -> None:
         """Keep the state if its held-out views are the best of the last stage so far.
@@ -334,7 +332,7 @@ class Pipeline:
         self._emit("warning", {"message": message})
 
     def _announce(self) -> None:
-        views, held_out, steps = len(self._views), len(self._held_out), self._schedule.total_steps
+        views, held_out, steps = len(self._views), len(self._yardstick.images), self._schedule.total_steps
         data = announcements.run_started(
             self.config, self.scene, self._parts, views=views, held_out=held_out, total_steps=steps
         )
@@ -402,8 +400,7 @@ class Pipeline:
         self._load_images(self.config.trainer.stages[self._stage_index])
         self.clock.go_on_from(progress.trained_seconds)
         self._emit("action", {"message": f"going on after outer step {self.outer}"})
-        index = self._stage_index
-        self._emit("stage", announcements.stage_entered(index, self.config.trainer, self._trainer.extractor.grid))
+        self._announce_stage()
         self._keep_good()
 
     def at_result(self, saved: tuple[Mapping[str, Tensor], Progress]) -> tuple[BiLevelTrainer, float | None]:
@@ -413,8 +410,3 @@ class Pipeline:
 
     def _keep_good(self) -> None:
         self._last_good = capture(self._trainer, self._stage_index, self._generator)
-
-    # -- small things --------------------------------------------------------------------------------------------
-
-    def _whole_image(self, view: View) -> TrainingImage:
-        return prepare_image(view, self.scene.box, 1.0, self._parts.device, crop=False)

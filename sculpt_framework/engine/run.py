@@ -30,7 +30,9 @@ from sculpt_framework.engine.reconstruction import Reconstruction
 from sculpt_framework.engine.repair import repair_start
 from sculpt_framework.engine.state import Progress
 from sculpt_framework.engine.steering import Steering
+from sculpt_framework.engine.view_pictures import RESULT, image_picture, view_pictures
 from sculpt_framework.errors import CheckpointError, SculptError, TrainingFailed
+from sculpt_framework.evaluation.pictures import Picture
 from sculpt_framework.evaluation.report import write_report
 from sculpt_framework.export.atomic import cannot_write, remove_partial_files, write_atomically
 from sculpt_framework.export.gaussian_files import read_gaussians_ply, write_gaussians_ply
@@ -58,19 +60,20 @@ def run(config: MethodConfig, *, resume: Path | None, started: float) -> None:
     Raises SculptError for whatever the user can mend, and TrainingFailed where training had to end early, after saving
     the best there was by then.
     """
-    if resume is not None and run_status(resume) == "finished":
-        # Killed while its report was written, it has left that aside.
-        remove_partial_files(resume)
-        sys.stdout.write(f"{resume} has finished already; its mesh is {resume / MESH_NAME}\n")
-        return
+    if config.threads is not None:
+        torch.set_num_threads(config.threads)
+    processes = gather(os.environ, pick_device(config.device))
+    if resume is not None:
+        processes.first(lambda: remove_partial_files(resume))
+        if run_status(resume) == "finished":
+            processes.first(lambda: _tell_finished(resume))
+            processes.close()
+            return
     saved = None if resume is None else read_checkpoint(resume / CHECKPOINTS)
     if resume is None and config.repair is not None:
         require_finished(config.repair)
     for observer in config.observers:
         observer.check()
-    if config.threads is not None:
-        torch.set_num_threads(config.threads)
-    processes = gather(os.environ, pick_device(config.device))
     scene = processes.in_turn(lambda: config.dataset.build(config.data).load())
     if resume is None and config.repair is not None:
         saved = _start_repair(config, config.repair, scene)
@@ -93,6 +96,13 @@ def run(config: MethodConfig, *, resume: Path | None, started: float) -> None:
             observer.close()
 
 
+def _tell_finished(folder: Path) -> None:
+    """Say where the results are; a run that was killed before its report was written gets that now."""
+    if not (folder / REPORT_NAME).is_file():
+        write_report(folder, load_finished(folder).pictures())
+    sys.stdout.write(f"{folder} has finished already; its mesh is {folder / MESH_NAME}\n")
+
+
 def _run_folder(config: MethodConfig, resume: Path | None, plan: ScenePlan | None) -> Path:
     """The run directory, ready to be written to."""
     if resume is None:
@@ -102,7 +112,6 @@ def _run_folder(config: MethodConfig, resume: Path | None, plan: ScenePlan | Non
             write_plan(plan, folder)
     else:
         folder = resume
-        remove_partial_files(folder)
     try:
         (folder / CHECKPOINTS).mkdir(exist_ok=True)
     except OSError as error:
@@ -271,6 +280,15 @@ class FinishedRun:
         images = [prepare_image(view, self.scene.box, 1.0, device, crop=False) for view in self.scene.test]
         rasterizer = self.config.rasterizer.build(device)
         return image_measures(rasterizer, self.gaussians, images, self.config.trainer.low_pass_px2)
+
+    def pictures(self) -> dict[str, dict[str, Picture]]:
+        """A test view, or a train view if there is none, beside the Gaussians; as a run shows itself in its report."""
+        device = pick_device(self.config.device)
+        view = (*self.scene.test, *self.scene.train)[0]
+        image = prepare_image(view, self.scene.box, 1.0, device, crop=False)
+        rasterizer, low_pass = self.config.rasterizer.build(device), self.config.trainer.low_pass_px2
+        pictures = view_pictures(rasterizer, self.gaussians, image, low_pass, errors=None)
+        return {RESULT: {**image_picture(image), **pictures}}
 
 
 def read_config(folder: Path) -> MethodConfig:

@@ -21,6 +21,8 @@ from sculpt_framework.evaluation.pictures import (
 from sculpt_framework.rasterizers import Rasterizer
 from sculpt_framework.types import Box, Gaussians, Surface
 
+RESULT = "Result"
+"""Heading of what a run ended with."""
 ERROR_LIMIT = 0.01
 """Share of the reference's diagonal at which the distance of a face has the strongest colour."""
 
@@ -50,15 +52,19 @@ class Album:
     def pages(self, scene: GaussianScene, surface: Surface) -> dict[str, dict[str, Picture]]:
         """Pictures by the state they show, under names for people: the surface the scene's rows are on, and the first,
         unless ``begin`` was never called."""
-        white = torch.ones(3).to(self._image.premultiplied)
-        seen = color_picture(self._image.over(white).rgb.cpu().numpy())
-        out = {"Result": {f"reference image ({self._image.name})": seen, **self._taken(scene, surface)}}
+        out = {RESULT: {**image_picture(self._image), **self._taken(scene, surface)}}
         return out | {"Before training": self._first} if self._first else out
 
     def _taken(self, scene: GaussianScene, surface: Surface) -> dict[str, Picture]:
         errors = None if self._reference is None else face_errors(surface, self._box, self._reference)
         gaussians = object_gaussians(scene, surface)
         return view_pictures(self._rasterizer, gaussians, self._image, self._low_pass_px2, errors)
+
+
+def image_picture(image: TrainingImage) -> dict[str, Picture]:
+    """What a run was to reproduce, on white, under a name for people."""
+    white = torch.ones(3).to(image.premultiplied)
+    return {f"reference image ({image.name})": color_picture(image.over(white).rgb.cpu().numpy())}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -330,6 +330,22 @@ def test_a_report_that_fails_is_a_warning(config: MethodConfig, monkeypatch: pyt
     assert "Read-only file system" in last["data"]["message"]
 
 
+def test_a_finished_run_without_its_report_gets_it_when_resumed(
+    config: MethodConfig, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    """As a run that was killed while it wrote its report."""
+    folder = tmp_path / "run"
+    run(config, resume=None, started=0.0)
+    before = files_of(folder)
+    (folder / "report.html").rename(folder / ".report.html.0.partial")
+    run(config, resume=folder, started=0.0)
+    assert "has finished already" in capsys.readouterr().out
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    assert "reference image (" in page
+    assert "rendering" in page
+    assert files_of(folder) == before | {"report.html": page.encode()}
+
+
 # -- checkpoints -----------------------------------------------------------------------------------------------------
 
 

@@ -3,13 +3,15 @@
 import itertools
 import math
 import time
+from dataclasses import replace
 
 import pytest
 from small_runs import ONE_STAGE, TWO_STAGES, small_config
 
 from sculpt_framework.config import StageConfig
-from sculpt_framework.engine.assembly import some_views, split_views
+from sculpt_framework.engine.assembly import split_views
 from sculpt_framework.engine.clock import TrainingClock, process_start
+from sculpt_framework.engine.measuring import some_views
 from sculpt_framework.engine.milestones import Milestones
 from sculpt_framework.engine.schedule import Schedule
 from sculpt_framework.types import Scene
@@ -229,10 +231,9 @@ def test_views_are_held_out_evenly():
 
 
 def test_held_out_views_are_as_many_as_may_be_looked_at(scene: Scene):
-    views = [scene.train[0]] * 20
+    views = [replace(scene.train[0], name=str(number)) for number in range(15)]
     pixels = views[0].camera.width * views[0].camera.height
-    chosen = list(range(5, 20))
-    assert some_views(views, chosen, 10, 100 * pixels) == chosen[:10]
-    assert some_views(views, chosen, 10, 4 * pixels) == chosen[:4]
-    assert some_views(views, chosen, 10, 1) == chosen[:3]
-    assert some_views(views, chosen[:2], 10, 1) == chosen[:2]
+    assert some_views(views, 10, 100 * pixels) == views[:10]
+    assert some_views(views, 10, 4 * pixels) == views[:4]
+    assert some_views(views, 10, 1) == views[:3]
+    assert some_views(views[:2], 10, 1) == views[:2]

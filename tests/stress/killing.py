@@ -131,6 +131,8 @@ def main() -> None:
             if final(folder) != final(unbroken):
                 report["different"].append(f"{folder.name}: metrics.json")
             report["broken"] += [str(path) for path in folder.rglob("*.partial")]
+            if not (folder / "report.html").exists():
+                report["broken"].append(f"{folder.name}: no report.html")
         if code is None and (folder / CHECKPOINTS / FILE_NAME).exists():
             resume = folder
             report["resumed"] += 1

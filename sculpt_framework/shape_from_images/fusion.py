@@ -6,13 +6,13 @@ import numpy as np
 from jaxtyping import Bool, Float32
 from scipy import ndimage
 
-from sculpt_framework.cpu_kernels import kernel_cache
+from sculpt_framework.cpu_kernels import kernel_cache, share_threads
 from sculpt_framework.shape_from_images.depth_maps import DepthMaps
 from sculpt_framework.shape_from_images.packing import PackedViews
 from sculpt_framework.shape_from_images.volume import Volume
 
 with kernel_cache("sweep", Path(__file__).with_name("sweep_kernels.py")):
-    from sculpt_framework.shape_from_images.sweep_kernels import fuse
+    from sculpt_framework.shape_from_images.sweep_kernels import fuse, relax
 
 _TRUNCATION = 3.0
 """Cells within which a depth speaks of a surface."""
@@ -90,17 +90,11 @@ def _fill(
     phi = np.where(weight > 0, value, prior).astype(np.float32)
     wanted = weight * value + np.float32(_PRIOR) * prior
     share = np.float32(1) / (weight + np.float32(_PRIOR + _STIFFNESS))
+    share_threads()
+    spare = np.empty_like(phi)
     for _ in range(_SWEEPS):
-        wide = np.pad(phi, 1, mode="edge")
-        around = wide[2:, 1:-1, 1:-1] + wide[:-2, 1:-1, 1:-1]
-        around += wide[1:-1, 2:, 1:-1]
-        around += wide[1:-1, :-2, 1:-1]
-        around += wide[1:-1, 1:-1, 2:]
-        around += wide[1:-1, 1:-1, :-2]
-        around *= np.float32(_STIFFNESS / 6)
-        around += wanted
-        around *= share
-        phi = around
+        relax(phi, wanted, share, np.float32(_STIFFNESS / 6), spare)
+        phi, spare = spare, phi
     return phi
 
 

@@ -2,10 +2,10 @@
 
 from collections.abc import Sequence
 
+import cv2
 import numpy as np
 import torch
-from jaxtyping import Float
-from scipy import ndimage
+from jaxtyping import Bool, Float, Float32
 from torch import Tensor
 from torch.nn import functional
 
@@ -58,13 +58,16 @@ def signed_mask_distance(alpha: Float[Tensor, "h w"]) -> Float[Tensor, "h w"]:
         return torch.full(coverage.shape, float(sum(coverage.shape)))
     if inside.all():
         return torch.full(coverage.shape, -float(sum(coverage.shape)))
-    outer = np.asarray(ndimage.distance_transform_edt(~inside))
-    inner = np.asarray(ndimage.distance_transform_edt(inside))
-    distance = np.where(inside, 0.5 - inner, outer - 0.5)
+    distance = np.where(inside, 0.5 - _depth(inside), _depth(~inside) - 0.5)
     at_outline = np.abs(distance) <= 0.5
     fractional = (coverage > 0.02) & (coverage < 0.98)
     refined = np.where(at_outline & fractional, 0.5 - coverage, distance)
     return torch.from_numpy(refined.astype(np.float32))
+
+
+def _depth(inside: Bool[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
+    """Distance from each pixel to the nearest one outside, exactly."""
+    return np.asarray(cv2.distanceTransform(inside.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE), np.float32)
 
 
 def _carver(

@@ -262,6 +262,8 @@ def refine(colors, inside, lenses, view, others, relative, known, known_lens, st
                 if costs[index] < least:
                     least = costs[index]
                     depths[row, column] = 1 / (start + (np.float32(index - reach) + fraction) * step)
+                if least <= _GOOD:
+                    break
 
 
 @njit(parallel=True, **_OPTIONS)
@@ -374,3 +376,20 @@ def fuse(points, wanted, depths, poses, lenses, positions, truncation, solid, or
                 continue
             total[n] += min(ahead, truncation)
             weight[n] += 1
+
+
+@njit(parallel=True, **_OPTIONS)
+def relax(phi, wanted, share, pull, out):
+    """One sweep of Jacobi: ``out`` is ``share`` of (``wanted`` and ``pull`` times the sum of the six neighbours).
+
+    The volume goes on beyond its walls as it is there.
+    """
+    depth, height, width = phi.shape
+    for i in prange(depth):
+        back, front = phi[max(i - 1, 0)], phi[min(i + 1, depth - 1)]
+        for j in range(height):
+            up, down, row = phi[i, max(j - 1, 0)], phi[i, min(j + 1, height - 1)], phi[i, j]
+            above, below = back[j], front[j]
+            for k in range(width):
+                around = above[k] + below[k] + up[k] + down[k] + row[max(k - 1, 0)] + row[min(k + 1, width - 1)]
+                out[i, j, k] = (pull * around + wanted[i, j, k]) * share[i, j, k]

@@ -59,7 +59,9 @@ def certify(
     mesh = Mesh(vertices=vertices, faces=faces)
     empty = len(faces) == 0
     areas = mesh.areas
-    used = len(np.unique(faces))
+    named = np.zeros(len(vertices), bool)
+    named[faces] = True
+    used = int(named.sum())
     boundary = len(topology.boundary_edges(faces))
     edge_manifold = topology.is_edge_manifold(faces)
     vertex_manifold = topology.is_vertex_manifold(faces)

@@ -124,6 +124,11 @@ class MeasuredMesh:
         return other
 
     @cached_property
+    def diagonal(self) -> float:
+        """Of the bounding box."""
+        return self.mesh.diagonal
+
+    @cached_property
     def _triangle_tree(self) -> igl.AABB:
         tree = igl.AABB()
         tree.init(self.mesh.vertices, self.mesh.faces)
@@ -214,7 +219,7 @@ def chamfer(
 
 def _summary(there: _OneWay, back: _OneWay, reference: MeasuredMesh, samples: int) -> ChamferResult:
     """Means over both directions; ``there`` is from the result to the reference."""
-    diagonal = reference.mesh.diagonal
+    diagonal = reference.diagonal
 
     def score(threshold: float) -> float:
         precision, recall = np.mean(there.distance < threshold), np.mean(back.distance < threshold)

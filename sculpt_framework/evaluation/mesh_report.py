@@ -8,7 +8,7 @@ from typing import Any
 from sculpt_framework.evaluation.certificate import certify
 from sculpt_framework.evaluation.geometry import ABSOLUTE_THRESHOLDS, RELATIVE_THRESHOLDS, MeasuredMesh, chamfer
 from sculpt_framework.evaluation.mesh import Mesh
-from sculpt_framework.evaluation.triangle_quality import triangle_quality
+from sculpt_framework.evaluation.triangle_quality import sliver_share, triangle_quality
 
 RESULT_MEASURES: Mapping[str, str] = {
     "smallest_angle": "of all triangles, degrees",
@@ -37,6 +37,10 @@ RESULT_MEASURES: Mapping[str, str] = {
 """What a result is measured by beside the columns of its curve, with units."""
 
 
+_COLUMNS = ("chamfer_ps", "fscore", "normal_consistency", "under10_pct")
+"""Of the curve; None where nothing is known."""
+
+
 def mesh_report(
     mesh: Mesh, reference: Mesh | MeasuredMesh | None, *, samples: int = 200_000, self_intersections: bool = False
 ) -> Mapping[str, Any]:
@@ -57,10 +61,10 @@ def mesh_report(
 
 def mesh_measures(mesh: Mesh, reference: MeasuredMesh | None, samples: int) -> dict[str, float | None]:
     """Curve columns that the mesh alone, or with the reference, gives. Lengths in world units."""
-    out: dict[str, float | None] = dict.fromkeys(("chamfer_ps", "fscore", "normal_consistency", "under10_pct"))
+    out: dict[str, float | None] = dict.fromkeys(_COLUMNS)
     if len(mesh.faces) == 0:
         return out
-    out["under10_pct"] = triangle_quality(mesh).under10_pct
+    out["under10_pct"] = sliver_share(mesh)
     if reference is not None:
         result = chamfer(mesh, reference, samples=samples, point_to_point=False)
         if math.isfinite(result.point_to_surface):
@@ -76,7 +80,7 @@ def result_measures(mesh: Mesh, reference: Mesh | MeasuredMesh | None, samples: 
 
     Raises ValueError if the reference has no area.
     """
-    out: dict[str, Any] = mesh_measures(mesh, None, 0)
+    out: dict[str, Any] = dict.fromkeys(_COLUMNS)
     if len(mesh.faces) == 0:
         return out
     out |= triangle_quality(mesh).summary()

@@ -18,7 +18,11 @@ def count_self_intersections(mesh: Mesh) -> int:
     if len(mesh.faces) == 0:
         return 0
     half_edges = np.stack([mesh.faces, np.roll(mesh.faces, -1, axis=1)], axis=2).reshape(-1, 2)
-    ends, edge_of_half_edge = np.unique(np.sort(half_edges, axis=1), axis=0, return_inverse=True)
+    # One integer per edge: the smaller vertex, then the larger.
+    names = (half_edges.min(axis=1) << 32) | half_edges.max(axis=1)
+    ordered = np.sort(names)
+    edges = ordered[np.flatnonzero(np.diff(ordered, prepend=-1))]
+    ends = np.stack([edges >> 32, edges & 0xFFFFFFFF], axis=1)
     tree = igl.AABB()
     tree.init(mesh.vertices, mesh.faces)
     start, way = mesh.vertices[ends[:, 0]], mesh.vertices[ends[:, 1]] - mesh.vertices[ends[:, 0]]
@@ -37,6 +41,7 @@ def count_self_intersections(mesh: Mesh) -> int:
     crosses &= ~(mesh.faces[face][:, :, None] == ends[edge][:, None, :]).any((1, 2))
     edge, face = edge[crosses], face[crosses]
     # Every face along a crossing edge crosses what the edge crosses.
+    edge_of_half_edge = np.searchsorted(edges, names)
     order = np.argsort(edge_of_half_edge, kind="stable")
     first = np.searchsorted(edge_of_half_edge[order], np.arange(len(ends) + 1))
     pairs = {

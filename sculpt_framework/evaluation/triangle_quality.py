@@ -94,6 +94,24 @@ def triangle_shapes(mesh: Mesh) -> TriangleShapes:
     )
 
 
+def sliver_share(mesh: Mesh) -> float:
+    """``under10_pct`` alone: percent of faces whose smallest angle is below 10 degrees. Raises ValueError for a mesh
+    without faces.
+
+    The smallest angle lies between the two longer sides a <= b and has the tangent 4S / (a^2 + b^2 - c^2).
+    """
+    if len(mesh.faces) == 0:
+        raise ValueError("a mesh without faces has no triangle quality")
+    first, second, third = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))
+    one, other = second - first, third - first
+    x, y, z = np.cross(one, other).T
+    double_area = np.sqrt(x * x + y * y + z * z)
+    squares = np.stack([np.einsum("fx,fx->f", side, side) for side in (one, other, third - second)])
+    adjacent = squares.sum(axis=0) - 2 * squares.min(axis=0)
+    slivers = (2 * double_area < np.tan(np.radians(SLIVER_DEGREES)) * adjacent) | (double_area == 0)
+    return 100 * float(slivers.mean())
+
+
 def triangle_quality(mesh: Mesh) -> TriangleQuality:
     """Summarise the shapes of a mesh's faces. Raises ValueError for a mesh without faces."""
     if len(mesh.faces) == 0:

@@ -33,5 +33,7 @@ def compact(
     vertices: Float[np.ndarray, "v 3"], faces: Int64[np.ndarray, "f 3"]
 ) -> tuple[Float[np.ndarray, "w 3"], Int64[np.ndarray, "f 3"], Int64[np.ndarray, " w"]]:
     """Drop vertices no face uses; also says which old vertex each new one is."""
-    used, renamed = np.unique(faces, return_inverse=True)
-    return vertices[used], renamed.reshape(faces.shape), used
+    named = np.zeros(len(vertices), bool)
+    named[faces] = True
+    used = np.flatnonzero(named)
+    return vertices[used], (np.cumsum(named) - 1)[faces], used

@@ -33,14 +33,18 @@ def _edge_names(edges: Int64[np.ndarray, "e 2"]) -> Int64[np.ndarray, " e"]:
 def boundary_edges(faces: Faces) -> Int64[np.ndarray, "b 2"]:
     """Edges with one face, directed as in that face. A mesh without any is closed."""
     edges = _directed_edges(faces)
-    _, inverse, count = np.unique(_edge_names(edges), return_inverse=True, return_counts=True)
-    return edges[count[inverse] == 1]
+    names = _edge_names(edges)
+    ordered = np.sort(names)
+    alone = np.ones(len(ordered), bool)
+    alone[1:] &= ordered[1:] != ordered[:-1]
+    alone[:-1] &= ordered[:-1] != ordered[1:]
+    return edges[np.isin(names, ordered[alone])] if alone.any() else edges[:0]
 
 
 def is_edge_manifold(faces: Faces) -> bool:
     """Whether no edge has more than two faces."""
-    _, count = np.unique(_edge_names(_directed_edges(faces)), return_counts=True)
-    return bool((count <= 2).all())
+    ordered = np.sort(_edge_names(_directed_edges(faces)))
+    return not bool((ordered[2:] == ordered[:-2]).any())
 
 
 def is_vertex_manifold(faces: Faces) -> bool:
@@ -57,19 +61,19 @@ def is_vertex_manifold(faces: Faces) -> bool:
         [np.where(same_direction, second, following[second]), np.where(same_direction, following[second], second)]
     )
     fans, _ = _connected(corner_a, corner_b, len(edges))
-    return fans == len(np.unique(edges[:, 0]))
+    return fans == _distinct(edges[:, 0])
 
 
 def is_consistently_oriented(faces: Faces) -> bool:
     """Whether no two faces pass an edge in the same direction."""
     edges = _directed_edges(faces)
-    return len(np.unique((edges[:, 0] << 32) | edges[:, 1])) == len(edges)
+    return _distinct((edges[:, 0] << 32) | edges[:, 1]) == len(edges)
 
 
 def euler_characteristic(faces: Faces) -> int:
     """Vertices in use - edges + faces; for a closed oriented mesh the sum of 2 - 2 genus over its components."""
     edges = _directed_edges(faces)
-    return len(np.unique(edges)) - len(np.unique(_edge_names(edges))) + len(faces)
+    return _distinct(edges.reshape(-1)) - _distinct(_edge_names(edges)) + len(faces)
 
 
 def signed_volume(vertices: Vertices, faces: Faces) -> float:
@@ -84,10 +88,18 @@ def signed_volume(vertices: Vertices, faces: Faces) -> float:
 def components(faces: Faces) -> tuple[int, Int64[np.ndarray, " f"]]:
     """Number of pieces that hang together by shared vertices, and the piece of each face."""
     edges = _directed_edges(faces)
-    names, node = np.unique(edges, return_inverse=True)
-    node = node.reshape(-1, 2)
-    count, label = _connected(node[:, 0], node[:, 1], len(names))
-    return count, label[node[::3, 0]]
+    count, label = _connected(edges[:, 0], edges[:, 1], int(edges.max(initial=-1)) + 1)
+    piece = label[edges[::3, 0]]
+    # A vertex that no face uses is a piece of the graph, not of the mesh.
+    used = np.zeros(count, bool)
+    used[piece] = True
+    return int(used.sum()), (np.cumsum(used) - 1)[piece]
+
+
+def _distinct(values: Int64[np.ndarray, " n"]) -> int:
+    """How many different values there are; a plain sort is many times as fast as looking them up."""
+    ordered = np.sort(values)
+    return int((ordered[1:] != ordered[:-1]).sum()) + min(1, len(ordered))
 
 
 def _paired_sides(edges: Int64[np.ndarray, "e 2"]) -> tuple[Int64[np.ndarray, " p"], Int64[np.ndarray, " p"]]:

@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from sculpt_framework.evaluation.mesh import Mesh
-from sculpt_framework.evaluation.triangle_quality import triangle_quality, triangle_shapes
+from sculpt_framework.evaluation.triangle_quality import sliver_share, triangle_quality, triangle_shapes
 
 EQUILATERAL = [[0.0, 0, 0], [1, 0, 0], [0.5, 3**0.5 / 2, 0]]
 RIGHT_ISOSCELES = [[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]
@@ -78,3 +78,16 @@ def test_angles_agree_with_trimesh_and_do_not_depend_on_scale():
 def test_a_mesh_without_faces_has_no_quality():
     with pytest.raises(ValueError, match="without faces"):
         triangle_quality(Mesh(vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), np.int64)))
+
+
+def test_share_of_slivers_alone_is_that_of_all_shapes():
+    half = np.tan(np.radians([9.99, 10.01]) / 2)
+    needles = [[[0, 0, 0], [1, h, 0], [1, -h, 0]] for h in half.tolist()]
+    without_area = [[[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[1, 1, 1]] * 3]
+    mesh = triangles(*needles, *without_area, EQUILATERAL, RIGHT_ISOSCELES)
+    assert sliver_share(mesh) == pytest.approx(50)
+    anything = triangles(*np.random.default_rng(0).normal(size=(2000, 3, 3)).tolist())
+    assert sliver_share(anything) == pytest.approx(triangle_quality(anything).under10_pct)
+    assert 0 < sliver_share(anything) < 100
+    with pytest.raises(ValueError, match="without faces"):
+        sliver_share(Mesh(vertices=np.zeros((1, 3)), faces=np.zeros((0, 3), np.int64)))

@@ -62,14 +62,12 @@ class Yardstick:
 
 
 def some_views(views: Sequence[View], at_most: int, pixels: int) -> Sequence[View]:
-    """As many, from the first on, as have so many pixels together, but at least three of them."""
-    total, out = 0, []
-    for view in views[:at_most]:
-        total += view.camera.width * view.camera.height
-        if len(out) >= 3 and total > pixels:
-            break
-        out.append(view)
-    return out
+    """Spread evenly over the views, as many as have about so many pixels together, but at least three of them."""
+    if not views:
+        return []
+    mean = sum(view.camera.width * view.camera.height for view in views) / len(views)
+    count = min(len(views), at_most, max(3, int(pixels / mean)))
+    return [views[number * len(views) // count] for number in range(count)]
 
 
 def image_measures(

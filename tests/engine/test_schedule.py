@@ -233,7 +233,9 @@ def test_views_are_held_out_evenly():
 def test_held_out_views_are_as_many_as_may_be_looked_at(scene: Scene):
     views = [replace(scene.train[0], name=str(number)) for number in range(15)]
     pixels = views[0].camera.width * views[0].camera.height
-    assert some_views(views, 10, 100 * pixels) == views[:10]
-    assert some_views(views, 10, 4 * pixels) == views[:4]
-    assert some_views(views, 10, 1) == views[:3]
+    assert some_views(views, 5, 100 * pixels) == views[::3]
+    assert some_views(views, 15, 100 * pixels) == views
+    assert some_views(views[:12], 10, 4 * pixels) == views[:12:3]
+    assert some_views(views, 10, 1) == views[::5]
     assert some_views(views[:2], 10, 1) == views[:2]
+    assert some_views([], 10, 1) == []

@@ -99,7 +99,10 @@ def run(config: MethodConfig, *, resume: Path | None, started: float) -> None:
 def _tell_finished(folder: Path) -> None:
     """Say where the results are; a run that was killed before its report was written gets that now."""
     if not (folder / REPORT_NAME).is_file():
-        write_report(folder, load_finished(folder).pictures())
+        try:
+            write_report(folder, load_finished(folder).pictures())
+        except SculptError as error:
+            _log.warning("no report: %s", error)
     sys.stdout.write(f"{folder} has finished already; its mesh is {folder / MESH_NAME}\n")
 
 

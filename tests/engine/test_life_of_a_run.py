@@ -346,6 +346,19 @@ def test_a_finished_run_without_its_report_gets_it_when_resumed(
     assert files_of(folder) == before | {"report.html": page.encode()}
 
 
+def test_a_finished_run_whose_data_are_gone_is_still_finished(
+    config: MethodConfig, tmp_path: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+):
+    run(config, resume=None, started=0.0)
+    text = (tmp_path / "run" / "config.json").read_text()
+    (tmp_path / "run" / "config.json").write_text(text.replace(str(config.data), str(tmp_path / "gone")))
+    (tmp_path / "run" / "report.html").unlink()
+    run(config, resume=tmp_path / "run", started=0.0)
+    assert "has finished already" in capsys.readouterr().out
+    assert "no report" in caplog.text
+    assert not (tmp_path / "run" / "report.html").exists()
+
+
 # -- checkpoints -----------------------------------------------------------------------------------------------------
 
 

@@ -59,7 +59,8 @@ class Lens:
     def at_size(self, width: int, height: int, image: Path) -> Pinhole:
         """In pixels of an image of this size, which may be a resized one.
 
-        Raises DataError if the file speaks of an image of another shape, or of a focal length out of all proportion.
+        Raises DataError if the file speaks of an image of another shape, or of a focal length or
+        principal point out of all proportion.
         """
         sx, sy = width / (self.width or width), height / (self.height or height)
         if abs(sx / sy - 1) > _ASPECT_TOLERANCE:
@@ -88,6 +89,11 @@ class Lens:
             )
         cx = 0.5 * width if self.center_x is None else self.center_x * sx
         cy = 0.5 * height if self.center_y is None else self.center_y * sy
+        if not max(abs(cx), abs(cy)) <= _FOCAL[1]:
+            raise DataError(
+                f"{image}: the principal point comes to {cx:g}, {cy:g} pixels; expected at most {_FOCAL[1]:g} to "
+                "either side. Check cx and cy in the transforms."
+            )
         return Pinhole(fx=fx, fy=fy, cx=cx, cy=cy)
 
 

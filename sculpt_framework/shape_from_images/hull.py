@@ -1,11 +1,12 @@
 """The visual hull as a signed distance, to a fraction of a pixel."""
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 
-import cv2
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Float32
+from jaxtyping import Float
+from scipy import ndimage
 from torch import Tensor
 from torch.nn import functional
 
@@ -35,7 +36,9 @@ def visual_hull(views: Sequence[View], max_views: int, device: torch.device) -> 
     if not masked:
         raise DataError("all masks are empty: no pixel of any view is half covered; check the images' alpha channels")
     step = max(1, -(-len(masked) // max_views))
-    carvers = [_carver(view.camera, view.alpha, device) for view in masked[::step] if view.alpha is not None]
+    chosen = [(view.camera, view.alpha) for view in masked[::step] if view.alpha is not None]
+    with ThreadPoolExecutor(max_workers=torch.get_num_threads()) as pool:
+        carvers = list(pool.map(lambda view: _carver(*view, device), chosen))
 
     @torch.no_grad()
     def hull(points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
@@ -58,16 +61,14 @@ def signed_mask_distance(alpha: Float[Tensor, "h w"]) -> Float[Tensor, "h w"]:
         return torch.full(coverage.shape, float(sum(coverage.shape)))
     if inside.all():
         return torch.full(coverage.shape, -float(sum(coverage.shape)))
-    distance = np.where(inside, 0.5 - _depth(inside), _depth(~inside) - 0.5)
+    # Not OpenCV's, many times as fast as it is: it rounds otherwise from call to call.
+    outer = np.asarray(ndimage.distance_transform_edt(~inside))
+    inner = np.asarray(ndimage.distance_transform_edt(inside))
+    distance = np.where(inside, 0.5 - inner, outer - 0.5)
     at_outline = np.abs(distance) <= 0.5
     fractional = (coverage > 0.02) & (coverage < 0.98)
     refined = np.where(at_outline & fractional, 0.5 - coverage, distance)
     return torch.from_numpy(refined.astype(np.float32))
-
-
-def _depth(inside: Bool[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
-    """Distance from each pixel to the nearest one outside, exactly."""
-    return np.asarray(cv2.distanceTransform(inside.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE), np.float32)
 
 
 def _carver(

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from plain_scenes import edit_transforms, load, make_scene
 
@@ -77,6 +77,8 @@ def test_mutated_bytes(folder: Path, name: str, mutations: list[tuple[str, float
 
 
 @given(key=st.sampled_from(["camera_angle_x", "fl_x", "w", "cx", "k1", "frames"]), value=JSON)
+@example(key="cx", value=3.4e38)
+@example(key="cx", value=1.9e19)
 @QUICK
 def test_any_value_for_a_key_of_the_file(folder: Path, key: str, value: object) -> None:
     _with(folder, lambda document: document.update({key: value}))

@@ -38,7 +38,7 @@ def visual_hull(views: Sequence[View], max_views: int, device: torch.device) -> 
     step = max(1, -(-len(masked) // max_views))
     chosen = [(view.camera, view.alpha) for view in masked[::step] if view.alpha is not None]
     with ThreadPoolExecutor(max_workers=torch.get_num_threads()) as pool:
-        carvers = list(pool.map(lambda view: _carver(*view, device), chosen))
+        carvers = list(pool.map(lambda view: _carver(view[0], view[1], device), chosen))
 
     @torch.no_grad()
     def hull(points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:

@@ -20,10 +20,9 @@ def part():
     times.append(time.perf_counter())
 import torch
 part()
-import sculpt_framework.cpu_kernels
-from pathlib import Path
-with sculpt_framework.cpu_kernels.kernel_cache("nothing", Path(sculpt_framework.cpu_kernels.__file__)):
-    part()
+from sculpt_framework.cpu_kernels import load_numba
+load_numba()
+part()
 from sculpt_framework.types import Camera
 from sculpt_plugins.rasterizers.numba.config import NumbaRasterizerConfig
 rasterizer = NumbaRasterizerConfig().build(torch.device("cpu"))

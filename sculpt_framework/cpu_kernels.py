@@ -29,18 +29,9 @@ def kernel_cache(name: str, sources: Path) -> Iterator[None]:
     go on using code that was compiled with constants another file no longer has. A cache folder the user has set
     (NUMBA_CACHE_DIR) is left as it is. Says so, once, when nothing is compiled yet.
     """
-    with collector_paused():
-        # What numba would load at the first call of a kernel.
-        cpu_target.target_context.refresh()
-        if numba.config.CACHE_DIR:
-            yield
-            return
-        with _kept_in_user_folder(name, sources):
-            yield
-
-
-@contextmanager
-def _kept_in_user_folder(name: str, sources: Path) -> Iterator[None]:
+    if numba.config.CACHE_DIR:
+        yield
+        return
     folder = _user_folder() / f"{name}-{_digest(sources)}"
     if not folder.is_dir():
         message = "compiling the CPU kernels of '%s' on first use, kept in %s"
@@ -50,6 +41,12 @@ def _kept_in_user_folder(name: str, sources: Path) -> Iterator[None]:
         yield
     finally:
         numba.config.CACHE_DIR = ""
+
+
+def load_numba() -> None:
+    """Load what numba else loads at the first call of any kernel: here no garbage is collected meanwhile."""
+    with collector_paused():
+        cpu_target.target_context.refresh()
 
 
 class CompileSeconds:

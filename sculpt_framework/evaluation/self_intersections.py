@@ -4,6 +4,7 @@ import igl
 import numpy as np
 
 from sculpt_framework.evaluation.mesh import Mesh
+from sculpt_framework.geometry.topology import directed_edges, edge_ends, edge_names
 
 _FROM_END = 1e-6
 """Share of an edge's length, at either end, that is taken for touching."""
@@ -17,12 +18,10 @@ def count_self_intersections(mesh: Mesh) -> int:
     """
     if len(mesh.faces) == 0:
         return 0
-    half_edges = np.stack([mesh.faces, np.roll(mesh.faces, -1, axis=1)], axis=2).reshape(-1, 2)
-    # One integer per edge: the smaller vertex, then the larger.
-    names = (half_edges.min(axis=1) << 32) | half_edges.max(axis=1)
+    names = edge_names(directed_edges(mesh.faces))
     ordered = np.sort(names)
     edges = ordered[np.flatnonzero(np.diff(ordered, prepend=-1))]
-    ends = np.stack([edges >> 32, edges & 0xFFFFFFFF], axis=1)
+    ends = edge_ends(edges)
     tree = igl.AABB()
     tree.init(mesh.vertices, mesh.faces)
     start, way = mesh.vertices[ends[:, 0]], mesh.vertices[ends[:, 1]] - mesh.vertices[ends[:, 0]]

@@ -19,37 +19,42 @@ def _array(values: np.ndarray | Tensor) -> np.ndarray:
     return values.detach().cpu().numpy() if isinstance(values, torch.Tensor) else values
 
 
-def _directed_edges(faces: Faces) -> Int64[np.ndarray, "e 2"]:
+def directed_edges(faces: Faces) -> Int64[np.ndarray, "e 2"]:
     """The three edges of face 0, then those of face 1, ...: edge n goes from corner n of its face to the next."""
     array = _array(faces).astype(np.int64)
     return np.stack([array, np.roll(array, -1, axis=1)], axis=2).reshape(-1, 2)
 
 
-def _edge_names(edges: Int64[np.ndarray, "e 2"]) -> Int64[np.ndarray, " e"]:
+def edge_names(edges: Int64[np.ndarray, "e 2"]) -> Int64[np.ndarray, " e"]:
     """One integer per edge, whatever its direction."""
     return (edges.min(axis=1) << 32) | edges.max(axis=1)
 
 
+def edge_ends(names: Int64[np.ndarray, " e"]) -> Int64[np.ndarray, "e 2"]:
+    """The two vertices of the edges of these names, the smaller first."""
+    return np.stack([names >> 32, names & 0xFFFFFFFF], axis=1)
+
+
 def boundary_edges(faces: Faces) -> Int64[np.ndarray, "b 2"]:
     """Edges with one face, directed as in that face. A mesh without any is closed."""
-    edges = _directed_edges(faces)
-    names = _edge_names(edges)
+    edges = directed_edges(faces)
+    names = edge_names(edges)
     ordered = np.sort(names)
     alone = np.ones(len(ordered), bool)
     alone[1:] &= ordered[1:] != ordered[:-1]
     alone[:-1] &= ordered[:-1] != ordered[1:]
-    return edges[np.isin(names, ordered[alone])] if alone.any() else edges[:0]
+    return edges[np.isin(names, ordered[alone])]
 
 
 def is_edge_manifold(faces: Faces) -> bool:
     """Whether no edge has more than two faces."""
-    ordered = np.sort(_edge_names(_directed_edges(faces)))
+    ordered = np.sort(edge_names(directed_edges(faces)))
     return not bool((ordered[2:] == ordered[:-2]).any())
 
 
 def is_vertex_manifold(faces: Faces) -> bool:
     """Whether the mesh is edge-manifold and the faces at each vertex form one fan, open or closed."""
-    edges = _directed_edges(faces)
+    edges = directed_edges(faces)
     if not is_edge_manifold(faces):
         return False
     # Corners of faces are nodes; an edge shared by two faces links the two corners at each of its ends.
@@ -66,14 +71,14 @@ def is_vertex_manifold(faces: Faces) -> bool:
 
 def is_consistently_oriented(faces: Faces) -> bool:
     """Whether no two faces pass an edge in the same direction."""
-    edges = _directed_edges(faces)
+    edges = directed_edges(faces)
     return _distinct((edges[:, 0] << 32) | edges[:, 1]) == len(edges)
 
 
 def euler_characteristic(faces: Faces) -> int:
     """Vertices in use - edges + faces; for a closed oriented mesh the sum of 2 - 2 genus over its components."""
-    edges = _directed_edges(faces)
-    return _distinct(edges.reshape(-1)) - _distinct(_edge_names(edges)) + len(faces)
+    edges = directed_edges(faces)
+    return _distinct(edges.reshape(-1)) - _distinct(edge_names(edges)) + len(faces)
 
 
 def signed_volume(vertices: Vertices, faces: Faces) -> float:
@@ -87,7 +92,7 @@ def signed_volume(vertices: Vertices, faces: Faces) -> float:
 
 def components(faces: Faces) -> tuple[int, Int64[np.ndarray, " f"]]:
     """Number of pieces that hang together by shared vertices, and the piece of each face."""
-    edges = _directed_edges(faces)
+    edges = directed_edges(faces)
     count, label = _connected(edges[:, 0], edges[:, 1], int(edges.max(initial=-1)) + 1)
     piece = label[edges[::3, 0]]
     # A vertex that no face uses is a piece of the graph, not of the mesh.
@@ -104,7 +109,7 @@ def _distinct(values: Int64[np.ndarray, " n"]) -> int:
 
 def _paired_sides(edges: Int64[np.ndarray, "e 2"]) -> tuple[Int64[np.ndarray, " p"], Int64[np.ndarray, " p"]]:
     """Rows of the two directed edges of each edge that has two faces."""
-    names = _edge_names(edges)
+    names = edge_names(edges)
     order = np.argsort(names, kind="stable")
     twin = np.flatnonzero(names[order[1:]] == names[order[:-1]])
     return order[twin], order[twin + 1]

@@ -59,8 +59,8 @@ class Lens:
     def at_size(self, width: int, height: int, image: Path) -> Pinhole:
         """In pixels of an image of this size, which may be a resized one.
 
-        Raises DataError if the file speaks of an image of another shape, or of a focal length or
-        principal point out of all proportion.
+        Raises DataError if the file speaks of an image of another shape, or of a focal length or principal
+        point out of all proportion.
         """
         sx, sy = width / (self.width or width), height / (self.height or height)
         if abs(sx / sy - 1) > _ASPECT_TOLERANCE:

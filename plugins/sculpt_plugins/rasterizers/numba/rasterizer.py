@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from sculpt_framework.cpu_kernels import kernel_cache, share_threads
+from sculpt_framework.cpu_kernels import kernel_cache, load_numba, share_threads
 from sculpt_framework.rasterizers import Rasterizer, RasterOutput
 from sculpt_framework.rendering.projection import JACOBIAN_MARGIN
 from sculpt_framework.types import Camera
@@ -35,6 +35,7 @@ class NumbaRasterizer(Rasterizer):
     """
 
     def __init__(self, config: NumbaRasterizerConfig):
+        load_numba()
         self._deterministic = config.deterministic
         self._free: list[Scratch] = []
 

@@ -1,3 +1,4 @@
+import os
 import sys
 from collections.abc import Sequence
 from importlib.machinery import ModuleSpec, PathFinder
@@ -5,6 +6,10 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+
+# Several workers of pytest-xdist share the cores: threads of their own would wait for one another at every barrier.
+if "PYTEST_XDIST_WORKER" in os.environ:
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 
 class KernelFinder:

@@ -2,8 +2,8 @@
 
     python killing.py SCENE_FOLDER WORK_FOLDER KILLS SEED
 
-Prints one JSON object. Attempts are forked off a process that has imported everything, so that a kill costs no start of
-a Python; no attempt computes in that process, as threads would not survive the fork.
+Prints one JSON object. Attempts are forked off a process that has imported everything, also what only the report needs,
+so that a kill costs no start of a Python; no attempt computes in that process, as threads would not survive the fork.
 """
 
 import json
@@ -15,6 +15,7 @@ import time
 from pathlib import Path
 
 import torch
+import trimesh  # noqa: F401
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "engine"))
 
@@ -27,6 +28,7 @@ from sculpt_framework.engine.run import CHECKPOINTS, CONFIG_NAME, run, run_statu
 from sculpt_framework.errors import SculptError
 from sculpt_framework.evaluation.curve import read_curve
 from sculpt_framework.evaluation.mesh import load_mesh
+from sculpt_framework.evaluation.report import write_report  # noqa: F401
 from sculpt_framework.serialization import read_config
 from sculpt_plugins.datasets.blender.config import BlenderConfig
 from sculpt_plugins.observers.recorder.config import RecorderConfig

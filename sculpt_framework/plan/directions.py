@@ -17,10 +17,12 @@ from torch.nn import functional
 
 from sculpt_framework.extractors import SdfFunction
 from sculpt_framework.shape_from_images.hull import visual_hull
+from sculpt_framework.shape_from_images.volume import Volume, sample
 from sculpt_framework.types import Box, Camera, View
 
+_CPU = torch.device("cpu")
 _CELLS = 40
-"""Of the grid the hull is tabulated on, along each axis of [-1, 1]."""
+"""Along each axis of the object's box, of the volume that holds the hull."""
 _HULL_VIEWS = 40
 _COLOR_VIEWS = 60
 _PIXELS = 64
@@ -56,15 +58,15 @@ def gloss(views: Sequence[View], box: Box) -> Gloss | None:
         return None
     posed = [replace(view, camera=box.camera_to_object(view.camera)) for view in masked]
     small = [_reduced(view, _HULL_PIXELS) for view in spread(posed, _HULL_VIEWS)]
-    volume = _tabulated(visual_hull(small, _HULL_VIEWS, torch.device("cpu")))
-    points, normals = _surface_points(volume)
+    hull = sample(visual_hull(small, _HULL_VIEWS, _CPU), (1.0, 1.0, 1.0), _CELLS, _CPU)
+    points, normals = _surface_points(hull)
     seen, colors = [], []
     for view in spread(posed, _COLOR_VIEWS):
         picture = _reduced(view, _PIXELS)
         color, whole = _look_up(picture, points)
         place = picture.camera.position.float()
         facing = (functional.normalize(place - points, dim=1) * normals).sum(dim=1) > _FACING
-        seen.append(facing & whole & _free(volume, points, normals, place))
+        seen.append(facing & whole & _free(hull, points, normals, place))
         colors.append(color)
     return brightening(torch.stack(seen, 1), torch.stack(colors, 1))
 
@@ -105,53 +107,36 @@ def _reduced(view: View, pixels: int) -> View:
     return View(name=view.name, camera=camera, rgb=rgb, alpha=small[..., 3])
 
 
-def _tabulated(hull: SdfFunction) -> Float[Tensor, "x y z"]:
-    axis = torch.linspace(-1.05, 1.05, _CELLS)
-    grid = torch.stack(torch.meshgrid(axis, axis, axis, indexing="ij"), dim=-1).reshape(-1, 3)
-    return hull(grid).reshape(_CELLS, _CELLS, _CELLS)
-
-
-def _value(volume: Float[Tensor, "x y z"], points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
-    where = (points / 1.05).flip(1)[None, None, None]
-    return functional.grid_sample(volume[None, None], where, padding_mode="border", align_corners=True)[0, 0, 0, 0]
-
-
-def _surface_points(volume: Float[Tensor, "x y z"]) -> tuple[Float[Tensor, "n 3"], Float[Tensor, "n 3"]]:
+def _surface_points(hull: Volume) -> tuple[Float[Tensor, "n 3"], Float[Tensor, "n 3"]]:
     """Points on the hull, spread over it, and outward normals."""
-    cell = 2.1 / (_CELLS - 1)
-    near = (volume.abs() < cell).nonzero()
-    generator = torch.Generator().manual_seed(0)
-    near = near[torch.randperm(len(near), generator=generator)[:_POINTS]]
-    points = -1.05 + near.float() * cell
-    normals = _gradient(volume, points, cell)
+    value, cell = hull.interpolator(_CPU), hull.cell
+    near = torch.from_numpy(hull.points[np.abs(hull.values.reshape(-1)) < cell])
+    points = near[torch.randperm(len(near), generator=torch.Generator().manual_seed(0))[:_POINTS]]
+    normals = _gradient(value, points, cell)
     for _ in range(3):
-        points = points - _value(volume, points)[:, None].clamp(-cell, cell) * normals
-        normals = _gradient(volume, points, cell)
-    good = (_value(volume, points).abs() < 0.2 * cell) & (normals.norm(dim=1) > 0.5)
+        points = points - value(points)[:, None].clamp(-cell, cell) * normals
+        normals = _gradient(value, points, cell)
+    good = (value(points).abs() < 0.2 * cell) & (normals.norm(dim=1) > 0.5)
     return points[good], normals[good]
 
 
-def _gradient(volume: Float[Tensor, "x y z"], points: Float[Tensor, "n 3"], step: float) -> Float[Tensor, "n 3"]:
+def _gradient(value: SdfFunction, points: Float[Tensor, "n 3"], step: float) -> Float[Tensor, "n 3"]:
     offsets = step * torch.eye(3)
-    slopes = [_value(volume, points + offset) - _value(volume, points - offset) for offset in offsets]
+    slopes = [value(points + offset) - value(points - offset) for offset in offsets]
     return functional.normalize(torch.stack(slopes, dim=1), dim=1)
 
 
 def _free(
-    volume: Float[Tensor, "x y z"],
-    points: Float[Tensor, "n 3"],
-    normals: Float[Tensor, "n 3"],
-    camera: Float[Tensor, " 3"],
+    hull: Volume, points: Float[Tensor, "n 3"], normals: Float[Tensor, "n 3"], camera: Float[Tensor, " 3"]
 ) -> Bool[Tensor, " n"]:
     """Whether nothing of the hull is between the points and the camera."""
-    cell = 2.1 / (_CELLS - 1)
-    start = points + 1.5 * cell * normals
+    value, start = hull.interpolator(_CPU), points + 1.5 * hull.cell * normals
     way = functional.normalize(camera - start, dim=1)
     free = torch.ones(len(points), dtype=torch.bool)
     for step in torch.linspace(0.0, 2.0, _STEPS).tolist():
         at = start + step * way
-        outside = at.abs().amax(dim=1) > 1.05
-        free &= outside | (_value(volume, at) > 0)
+        outside = at.abs().amax(dim=1) > -hull.origin[0]
+        free &= outside | (value(at) > 0)
     return free
 
 

@@ -214,22 +214,29 @@ def watch_parts(watch: Stopwatch, pipeline: Any, notes: dict[str, Any]) -> None:
 
 
 def watch_steps(watch: Stopwatch, trainer: Any, notes: dict[str, Any]) -> None:
-    whole: Callable[..., Any] = trainer.outer_step
+    settle: Callable[..., Any] = trainer.settle
+    update: Callable[..., Any] = trainer.update
     taken = [0]
 
-    def outer_step(*words: Any) -> Any:
-        taken[0] += 1
+    def timed(half: Callable[..., Any], words: Any) -> Any:
         watch.on = taken[0] > WARM_UP_STEPS
         began = time.perf_counter()
         with watch.of("rest"):
-            done = whole(*words)
+            done = half(*words)
         if watch.on:
             notes["seconds"] += time.perf_counter() - began
-            notes["steps"] += 1
         watch.on = False
         return done
 
-    trainer.outer_step = outer_step
+    def first_half(*words: Any) -> Any:
+        taken[0] += 1
+        return timed(settle, words)
+
+    def second_half(*words: Any) -> Any:
+        notes["steps"] += taken[0] > WARM_UP_STEPS
+        return timed(update, words)
+
+    trainer.settle, trainer.update = first_half, second_half
 
 
 def seconds_per_sum(processes: Any, size: int, device: Any) -> float:

@@ -28,12 +28,21 @@ class Milestones:
         self._farthest = _FARTHEST * given if given else math.inf
         self._shares = _SHARES if given else (*_SHARES, *_LATE_SHARES)
         self._next_second = 1.0
+        self._stage_is_new = False
 
-    def due(self, progress: float, trained: float, spent: float) -> Literal["share", "time"] | None:
+    def enter_stage(self) -> None:
+        """The next surface is the first of its stage, and a measurement of it owed."""
+        self._stage_is_new = True
+
+    def due(self, progress: float, trained: float, spent: float) -> Literal["stage", "share", "time"] | None:
         """Why a measurement is due now, if one is. ``trained`` and ``spent`` are seconds of training and of evaluation.
 
-        Shares come first: whether one is measured must not depend on how fast the machine is.
+        The first surface of a stage comes first, then shares: whether one is measured must not depend on how fast the
+        machine is.
         """
+        if self._stage_is_new:
+            self._stage_is_new = False
+            return "stage"
         done = self.rows[-1]["progress"] if self.rows else 0.0
         if any(done < share <= progress for share in self._shares):
             return "share"

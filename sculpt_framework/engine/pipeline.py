@@ -22,7 +22,7 @@ from sculpt_framework.engine.parallel import Alone, Processes, ProcessLost
 from sculpt_framework.engine.polish import polish
 from sculpt_framework.engine.reconstruction import Reconstruction, reconstruct
 from sculpt_framework.engine.schedule import Pace, Schedule
-from sculpt_framework.engine.state import Progress, capture, restore, split_best, undisturbed, with_best
+from sculpt_framework.engine.state import Progress, capture, restore, split_best, with_best
 from sculpt_framework.engine.trainer import BiLevelTrainer
 from sculpt_framework.engine.view_pictures import Album
 from sculpt_framework.errors import CheckpointError, TrainingFailed
@@ -143,9 +143,10 @@ class Pipeline:
         """One outer step, with what comes before and after it."""
         try:
             self._step(self._enter_stage(progress), progress)
-            self._report_if_due(self._schedule.progress(self.outer))
         except _UNSTABLE as error:
             self._recover(error)
+        if time.monotonic() >= self._last_checkpoint + self.config.trainer.checkpoint_seconds:
+            self.save_checkpoint()
 
     def _enter_stage(self, progress: float) -> StageConfig:
         index = self._schedule.stage_index(progress)
@@ -159,10 +160,7 @@ class Pipeline:
         self._trainer.view_order = []
         self._stage_index = index
         self._announce_stage()
-        self._evaluate("stage", progress)
-        if self.outer == 0:
-            with self.clock.pause(), undisturbed(self._trainer):
-                self._album.begin(self._trainer.scene, self._follow_surface())
+        self._milestones.enter_stage()
         self._keep_good()
         return stage
 
@@ -188,7 +186,11 @@ class Pipeline:
             trainer.seeds = cells_at_level(trainer.seeds, grid.level - old.level)
 
     def _step(self, stage: StageConfig, progress: float) -> None:
-        report = self._trainer.outer_step(self._images, stage, self._schedule.rate_factor(progress) * self._rate_scale)
+        rate = self._rate(progress)
+        settled = self._trainer.settle(self._images, stage, rate)
+        # Here a surface has colours of its own, and measuring it costs no extraction besides the step's.
+        self._measure_if_due(settled.surface.detach(), progress)
+        report = self._trainer.update(settled, self._images, stage, rate)
         self.outer += 1
         progress, psnr = self._schedule.progress(self.outer), self._milestones.latest("psnr")
         eta = self._pace.left(progress, self.clock.train_seconds)
@@ -196,6 +198,10 @@ class Pipeline:
         self._emit("outer_step", data)
         for told in self._trainer.resting.news():
             self._emit("decision", told)
+
+    def _rate(self, progress: float) -> float:
+        """Factor on the learning rates."""
+        return self._schedule.rate_factor(progress) * self._rate_scale
 
     def _recover(self, error: Exception) -> None:
         """Back to the last good state at half the learning rates; give up after repeated failure."""
@@ -241,7 +247,9 @@ class Pipeline:
 
     def _keep_better(self, progress: float) -> float | None:
         """Go back to the best state if the last one is worse. Returns the psnr of the state that is kept, if any."""
-        self._evaluate("end of optimisation", progress)
+        stage = self.config.trainer.stages[self._stage_index]
+        settled = self._trainer.settle(self._images, stage, self._rate(progress))
+        self._evaluate("end of optimisation", progress, settled.surface.detach())
         latest = self._milestones.latest("psnr")
         if self._best is None or latest is None or self._best[0] <= latest + 0.02:
             return latest
@@ -265,15 +273,17 @@ class Pipeline:
 
     # -- measuring and telling -----------------------------------------------------------------------------------
 
-    def _report_if_due(self, progress: float) -> None:
+    def _measure_if_due(self, surface: Surface, progress: float) -> None:
         now, spent = self.clock.train_seconds, self._evaluation_seconds
         reason = self._trainer.processes.first(lambda: self._milestones.due(progress, now, spent))
-        if reason is not None:
-            self._evaluate(reason, progress)
-            self._keep_good()
-            self._end_if_level()
-        if time.monotonic() - self._last_checkpoint >= self.config.trainer.checkpoint_seconds:
-            self.save_checkpoint()
+        if reason is None:
+            return
+        self._evaluate(reason, progress, surface)
+        if self.outer == 0:
+            with self.clock.pause():
+                self._album.begin(self._trainer.scene, surface)
+        self._keep_good()
+        self._end_if_level()
 
     def _end_if_level(self) -> None:
         """Have a run that gains no more come to its end, and its rates with it."""
@@ -283,25 +293,22 @@ class Pipeline:
             self._milestones.cut_short(factor)
             self._emit("decision", announcements.cut_short(gain, factor))
 
-    def _evaluate(self, reason: str, progress: float) -> None:
-        """Measure the current surface on held-out views and against the reference; the clock stands still meanwhile."""
+    def _evaluate(self, reason: str, progress: float, surface: Surface) -> None:
+        """Measure a surface (object frame) that the Gaussians' rows are on; the clock stands still meanwhile."""
         began = self.clock.now
-        with self.clock.pause(), torch.no_grad(), undisturbed(self._trainer):
-            row = {"reason": reason, "progress": progress, **self._trainer.processes.first(self._measured)}
+        with self.clock.pause(), torch.no_grad():
+            measured = self._trainer.processes.first(lambda: self._measured(surface))
+        row = {"reason": reason, "progress": progress, **measured}
         self._milestones.add(progress, row)
         self._evaluation_seconds += self.clock.now - began
         self._emit("evaluation", row)
         self._keep_best(reason, row["psnr"])
 
-    def _measured(self) -> dict[str, Any]:
-        trainer, yardstick = self._trainer, self._yardstick
-        if self._result is None:
-            surface = self._follow_surface()
-            row = yardstick.measure(trainer.scene, surface)
-        else:
-            surface = self._result
-            row = yardstick.measure_result(trainer.scene, surface)
-        return announcements.sizes(trainer, surface) | {"t_cpu_s": self.clock.cpu_seconds} | row
+    def _measured(self, surface: Surface) -> dict[str, Any]:
+        """On held-out views and against the reference; of the result, all there is to measure."""
+        measure = self._yardstick.measure if self._result is None else self._yardstick.measure_result
+        row = measure(self._trainer.scene, surface)
+        return announcements.sizes(self._trainer, surface) | {"t_cpu_s": self.clock.cpu_seconds} | row
 
     def _keep_best(self, reason: str, score: float | None) -> None:
         """Keep the state if its held-out views are the best of the last stage so far.
@@ -316,7 +323,7 @@ class Pipeline:
 
     def announce_end(self, result: Reconstruction, files: Mapping[str, str]) -> None:
         """Measure the result and tell that the run is over and where its files are; the last event but for warnings."""
-        self._evaluate("result", self._schedule.progress(self.outer))
+        self._evaluate("result", self._schedule.progress(self.outer), self._trained)
         final, mesh = dict(self._milestones.rows[-1]), result.mesh
         final |= {"faces": len(mesh.faces), "gaussians": len(result.gaussians), "rss_mb": resident_megabytes()}
         shares = self._milestones.shares()
@@ -325,7 +332,12 @@ class Pipeline:
 
     def pictures(self) -> dict[str, dict[str, Picture]]:
         """A held-out view, or a train view if none is, beside what the run makes of it, and made of it at its start."""
-        return self._album.pages(self._trainer.scene, self._result or self._follow_surface())
+        return self._album.pages(self._trainer.scene, self._trained)
+
+    @property
+    def _trained(self) -> Surface:
+        assert self._result is not None, "there is a result once training has ended"  # noqa: S101
+        return self._result
 
     def warn(self, message: str) -> None:
         """Tell of something that went wrong but ends nothing."""
@@ -339,15 +351,8 @@ class Pipeline:
         self._emit("run_started", data)
 
     def _emit(self, name: EventName, data: Mapping[str, Any]) -> None:
-        self._emit_event(
-            Event(
-                t_train=self.clock.train_seconds,
-                t_wall=self.clock.wall_seconds,
-                outer=self.outer,
-                event=name,
-                data=data,
-            )
-        )
+        trained, passed = self.clock.train_seconds, self.clock.wall_seconds
+        self._emit_event(Event(t_train=trained, t_wall=passed, outer=self.outer, event=name, data=data))
 
     @property
     def parts(self) -> Parts:
@@ -389,6 +394,8 @@ class Pipeline:
         self.outer = progress.outer
         self._rate_scale, self._recoveries = progress.rate_scale, progress.recoveries
         self._milestones = Milestones(progress.milestones, self.config.max_time)
+        if not progress.milestones:  # Stopped before the first step, which measures the start.
+            self._milestones.enter_stage()
         self._schedule.begin(progress.progress)
         latest, best = split_best(state)
         try:

@@ -70,6 +70,18 @@ class StepReport:
     """What the inner loop took."""
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Settled:
+    """The current surface with its Gaussians fitted to it: an outer step after its inner loop, before its update."""
+
+    extraction: Extraction
+    surface: Surface
+    """The extracted one, without gradient where images teach nothing."""
+    binding: Binding
+    inner_loss: float | None
+    inner_seconds: float
+
+
 class BiLevelTrainer:
     """Runs outer steps. Owns the optimisers; what stage it is and when to stop is told from outside."""
 
@@ -121,10 +133,13 @@ class BiLevelTrainer:
     # -- the two levels ------------------------------------------------------------------------------------------
 
     def outer_step(self, images: Sequence[TrainingImage], stage: StageConfig, rate_factor: float) -> StepReport:
-        """One step of the surface, with the inner loop before it.
+        """One step of the surface, with the inner loop before it. Raises as its two halves."""
+        return self.update(self.settle(images, stage, rate_factor), images, stage, rate_factor)
 
-        Raises FloatingPointError if the objective or its gradient is not finite; nothing has been updated then but the
-        inner variables.
+    def settle(self, images: Sequence[TrainingImage], stage: StageConfig, rate_factor: float) -> Settled:
+        """Extract the current surface and fit the Gaussians to it in the inner loop; rows and colours change.
+
+        Raises EmptySurfaceError, and FloatingPointError if the inner objective or a Gaussian is not finite.
         """
         extraction = self.extract()
         surface = untaught(self.ignored, extraction.surface)
@@ -139,8 +154,20 @@ class BiLevelTrainer:
             inner_loss, kept = self.inner_loop(surface, images, first + stage.inner_steps, rate_factor, binding)
             if not kept:
                 binding = self.scene.bind(surface, learn=False)
-        inner_seconds = time.perf_counter() - inner_began
+        seconds = time.perf_counter() - inner_began
         self._check_scene()
+        return Settled(
+            extraction=extraction, surface=surface, binding=binding, inner_loss=inner_loss, inner_seconds=seconds
+        )
+
+    def update(
+        self, settled: Settled, images: Sequence[TrainingImage], stage: StageConfig, rate_factor: float
+    ) -> StepReport:
+        """Carry the images' gradient through the settled Gaussians and faces into field and extractor.
+
+        Raises FloatingPointError if the objective or its gradient is not finite; nothing has been updated then.
+        """
+        extraction, binding = settled.extraction, settled.binding
         views = stage.outer_views if self._config.gradient_isolation else stage.outer_views + stage.inner_steps
         self._zero_grad()
         roots, gradients, terms = self._image_gradients(binding, images, stage, views)
@@ -173,11 +200,11 @@ class BiLevelTrainer:
         return StepReport(
             loss=sum(terms.values()),
             terms=terms,
-            inner_loss=inner_loss,
-            faces=surface.faces.shape[0],
+            inner_loss=settled.inner_loss,
+            faces=settled.surface.faces.shape[0],
             gaussians=binding.opacities.numel(),
             step_kept=step_kept,
-            inner_seconds=inner_seconds,
+            inner_seconds=settled.inner_seconds,
         )
 
     def inner_loop(

@@ -241,9 +241,9 @@ class Poison:
     def install(self, monkeypatch: pytest.MonkeyPatch) -> None:
         from sculpt_framework.engine.trainer import BiLevelTrainer
 
-        original = BiLevelTrainer.outer_step
+        original = BiLevelTrainer.update
 
-        def outer_step(trainer: BiLevelTrainer, *arguments: object) -> object:
+        def update(trainer: BiLevelTrainer, *arguments: object) -> object:
             self.seen += 1
             report = original(trainer, *arguments)  # pyright: ignore
             if self.seen in self.when:
@@ -252,7 +252,7 @@ class Poison:
                         parameter.fill_(torch.nan)
             return report
 
-        monkeypatch.setattr(BiLevelTrainer, "outer_step", outer_step)
+        monkeypatch.setattr(BiLevelTrainer, "update", update)
 
 
 def test_one_nan_is_recovered_from(scene: Scene, monkeypatch: pytest.MonkeyPatch):

@@ -133,6 +133,13 @@ def test_a_run_of_known_length_owes_no_late_shares():
     assert measured == [25, 50]
 
 
+def test_the_first_surface_of_a_stage_is_measured_once():
+    milestones = Milestones()
+    assert milestones.due(0.0, 0.0, 0.0) is None
+    milestones.enter_stage()
+    assert [milestones.due(0.3, 2.0, 1e9) for _ in range(2)] == ["stage", "share"]
+
+
 def test_times_are_measured_where_that_is_cheap():
     milestones = Milestones()
     assert milestones.due(0.01, 0.5, 0.0) is None

@@ -20,7 +20,7 @@ from sculpt_framework.rasterizers import Rasterizer
 from sculpt_framework.types import Gaussians, Scene, Surface, View
 
 _CURVE_SAMPLES, _RESULT_SAMPLES = 20_000, 200_000
-_VIEWS_AT_MOST, _PIXELS_AT_MOST = 6, 4_000_000
+_VIEWS_AT_MOST, _PIXELS_AT_MOST = 4, 4_000_000
 """More held-out views, or more pixels in them, add evaluation time, not knowledge."""
 
 

@@ -10,8 +10,10 @@ _LATE_SHARES = (0.75, 0.9)
 """The same where steps are counted: no measurement that depends on the clock may choose the state there."""
 _COST_AT_MOST = 0.06
 """Of training time so far, for the measurements in between."""
-_COST_AHEAD = 0.03
-"""Of the time a run is given, which they may take before so much was trained: the first seconds tell most."""
+_COST_OF_GIVEN = 0.09
+"""Of the time a run is given, where that is known, for all measurements together."""
+_COST_OF_END = 4
+"""Times what one in between costs: the last state, and the result with all that is measured of one."""
 _ROWS_TO_TELL = 4
 """Measurements of a stage before its curve can be called level."""
 _FARTHEST = 1 / 12
@@ -24,7 +26,7 @@ class Milestones:
     def __init__(self, rows: Sequence[dict[str, Any]] = (), given: float | None = None):
         """``given`` is how long the run may take, in seconds, if that is known."""
         self.rows: list[dict[str, Any]] = list(rows)
-        self._ahead = _COST_AHEAD * (given or 0.0)
+        self._given = given
         self._farthest = _FARTHEST * given if given else math.inf
         self._shares = _SHARES if given else (*_SHARES, *_LATE_SHARES)
         self._next_second = 1.0
@@ -50,7 +52,13 @@ class Milestones:
             return None
         while self._next_second <= trained:
             self._next_second += min((math.sqrt(2) - 1) * self._next_second, self._farthest)
-        return "time" if spent <= max(_COST_AT_MOST * trained, self._ahead) else None
+        return "time" if self._affordable(trained, spent) else None
+
+    def _affordable(self, trained: float, spent: float) -> bool:
+        if self._given is None:
+            return spent <= _COST_AT_MOST * trained
+        mean = spent / max(1, len(self.rows))
+        return spent + (1 + _COST_OF_END) * mean <= _COST_OF_GIVEN * self._given
 
     def add(self, progress: float, row: dict[str, Any]) -> None:
         self.rows.append({**row, "progress": progress})

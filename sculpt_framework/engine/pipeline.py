@@ -300,8 +300,9 @@ class Pipeline:
             measured = self._trainer.processes.first(lambda: self._measured(surface))
         row = {"reason": reason, "progress": progress, **measured}
         self._milestones.add(progress, row)
-        self._evaluation_seconds += self.clock.now - began
-        self._emit("evaluation", row)
+        seconds = self.clock.now - began
+        self._evaluation_seconds += seconds
+        self._emit("evaluation", {**row, "seconds": seconds})
         self._keep_best(reason, row["psnr"])
 
     def _measured(self, surface: Surface) -> dict[str, Any]:

@@ -103,13 +103,18 @@ def seconds_spent(events: Sequence[Facts]) -> dict[str, float]:
     if first is None or "t_train" not in events[first]:
         return {}
     names = {"evaluation": "measuring", "run_ended": "measuring", "checkpoint": "saving checkpoints"}
+    rest = "compiling, pictures, viewing, writing"
     start, last = events[first], events[-1]
-    idle: dict[str, float] = {"measuring": 0.0, "saving checkpoints": 0.0}
+    idle: dict[str, float] = {"measuring": 0.0, "saving checkpoints": 0.0, rest: 0.0}
     for before, after in itertools.pairwise(events[first:]):
         # What passed on the wall and not on the training clock belongs to the event it led to.
         seconds = (after["t_wall"] - before["t_wall"]) - (after["t_train"] - before["t_train"])
-        name = names.get(after["event"], "compiling, pictures, viewing")
-        idle[name] = idle.get(name, 0.0) + max(0.0, seconds)
+        own = seconds
+        if after["event"] == "evaluation":
+            # Before it, files may have been written and kernels compiled.
+            own = min(seconds, after["data"].get("seconds", seconds))
+        idle[names.get(after["event"], rest)] += max(0.0, own)
+        idle[rest] += max(0.0, seconds - own)
     return {"start and loading": start["t_wall"], "training": last["t_train"] - start["t_train"], **idle}
 
 

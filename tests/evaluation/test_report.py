@@ -22,7 +22,7 @@ from sculpt_framework.evaluation.pictures import (
     normal_picture,
     png_data_uri,
 )
-from sculpt_framework.evaluation.report import write_report
+from sculpt_framework.evaluation.report import seconds_spent, write_report
 from sculpt_framework.export.mesh_files import write_mesh_ply
 
 
@@ -103,7 +103,18 @@ def test_it_says_where_the_time_went(run_dir: Path):
     assert facts["training"] == "6.0 s, 50 %"
     assert facts["measuring"] == "2.0 s, 17 %"
     assert facts["saving checkpoints"] == "0.5 s, 4 %"
-    assert facts["compiling, pictures, viewing"] == "0.5 s, 4 %"
+    assert facts["compiling, pictures, viewing, writing"] == "0.5 s, 4 %"
+
+
+def test_what_passed_before_a_measurement_is_not_measuring():
+    events = [
+        {"t_train": 0.0, "t_wall": 1.0, "event": "run_started", "data": {}},
+        {"t_train": 2.0, "t_wall": 8.0, "event": "evaluation", "data": {"seconds": 1.5}},
+    ]
+    spent = seconds_spent(events)
+    assert spent["measuring"] == 1.5
+    assert spent["compiling, pictures, viewing, writing"] == 3.5
+    assert sum(spent.values()) == 8.0
 
 
 def test_of_a_resumed_run_it_is_the_last_process(run_dir: Path):

@@ -104,9 +104,9 @@ class Pipeline:
 
     def _train(self, resume: tuple[Mapping[str, Tensor], Progress] | None) -> Reconstruction:
         self.clock.start()
-        self._schedule.begin()
         if resume is None:
             self._start()
+            self._schedule.begin()
         else:
             self._resume(*resume)
         first = self._trainer.processes.first

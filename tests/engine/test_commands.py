@@ -51,7 +51,7 @@ def test_training_leaves_every_file(trained: tuple[Path, Finished]):
     assert done.returncode == 0, done.stderr
     assert sorted(path.name for path in folder.iterdir()) == FILES
     assert (folder / "checkpoints" / "latest.safetensors").is_file()
-    for name in ("mesh.ply", "curve.csv", "report.html", "100 % of the time"):
+    for name in ("mesh.ply", "curve.csv", "report.html", "100 % of the optimisation"):
         assert name in done.stdout
     metrics = json.loads((folder / "metrics.json").read_text())
     assert metrics["status"] == "finished"

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -131,7 +132,31 @@ def test_a_curve_that_is_level_ends_a_run_early(
     last = events[-1]
     assert last.data["progress"] == 1.0
     assert last.t_wall < 0.1 * limit
-    assert early.data["run_cut_to"] == pytest.approx(early.t_wall / 0.8 / limit, rel=0.5)
+    began = next(event.t_wall for event in events if event.event == "stage")
+    assert early.data["run_cut_to"] == pytest.approx((early.t_wall - began) / 0.8 / limit, rel=0.5)
+
+
+def test_a_slow_start_takes_nothing_from_the_rates(scene: Scene, monkeypatch: pytest.MonkeyPatch):
+    """Half of the time given is gone when optimisation begins; it begins with full rates."""
+    from sculpt_framework.engine import pipeline as pipeline_module
+    from sculpt_framework.engine.trainer import BiLevelTrainer
+
+    fit, settle = pipeline_module.fit_to_views, BiLevelTrainer.settle
+    rates: list[float] = []
+
+    def slow_fit(*arguments: Any) -> float:
+        time.sleep(3.0)
+        return fit(*arguments)
+
+    def watched(trainer: BiLevelTrainer, images: Any, stage: Any, rate: float) -> Any:
+        rates.append(rate)
+        return settle(trainer, images, stage, rate)
+
+    monkeypatch.setattr(pipeline_module, "fit_to_views", slow_fit)
+    monkeypatch.setattr(BiLevelTrainer, "settle", watched)
+    Pipeline(small_config(max_time=8.0, polish_steps=0), scene=scene, started=time.monotonic()).train()
+    assert rates[0] > 0.9
+    assert rates == sorted(rates, reverse=True)
 
 
 # -- run directories -------------------------------------------------------------------------------------------------

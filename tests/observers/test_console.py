@@ -80,14 +80,14 @@ def test_plain_lines():
         "finished after 1:58",
         "  mesh      outputs/jar/gaussian-sculpting/now/mesh.ply   24.1k faces, watertight, 1 component, genus 0",
         "  curve     outputs/jar/gaussian-sculpting/now/curve.csv",
-        "  error      25 % of the time: Chamfer 0.00412, PSNR 28.10 dB, mask IoU 0.9900",
-        "            100 % of the time: not known",
+        "  error      25 % of the optimisation: Chamfer 0.00412, PSNR 28.10 dB, mask IoU 0.9900",
+        "            100 % of the optimisation: not known",
     ]
 
 
 def test_live_display_shows_the_same_facts_and_restores_the_cursor():
     text = shown(*whole_run(), terminal=True)
-    for fact in ("59 %", "step 59", "41 s left", "24.1k", "1.5 GB", "mesh.ply", "25 % of the time"):
+    for fact in ("59 %", "step 59", "41 s left", "24.1k", "1.5 GB", "mesh.ply", "25 % of the optimisation"):
         assert fact in text
     assert text.rindex("\x1b[?25h") > text.rindex("\x1b[?25l")
 

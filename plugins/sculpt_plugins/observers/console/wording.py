@@ -113,7 +113,7 @@ def certificate_text(certificate: Data) -> str:
 
 
 def end_lines(data: Data, run_dir: Path) -> list[str]:
-    """How the run ended, where its files are, and the error at 25, 50 and 100 % of the time."""
+    """How the run ended, where its files are, and the error at 25, 50 and 100 % of the optimisation."""
     lines = [f"{data['status']} after {duration(data['seconds'])}"]
     final = data.get("final") or {}
     faces = f"{count(final['faces'])} faces, " if final.get("faces") is not None else ""
@@ -126,7 +126,7 @@ def end_lines(data: Data, run_dir: Path) -> list[str]:
         lines.append(f"  {'results':<10}{run_dir}")
     label = "error"
     for row in data.get("milestones") or ():
-        lines.append(f"  {label:<10}{100 * row['share']:3.0f} % of the time: {error_text(row) or 'not known'}")
+        lines.append(f"  {label:<10}{100 * row['share']:3.0f} % of the optimisation: {error_text(row) or 'not known'}")
         label = ""
     return lines
 

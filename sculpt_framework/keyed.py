@@ -48,6 +48,9 @@ class KeyedTable:
         """Row of each key and whether it is in the table; the row of an absent key is arbitrary but valid."""
         if len(self) == 0:
             return torch.zeros_like(keys), torch.zeros_like(keys, dtype=torch.bool)
+        if bool((self.keys[1:] > self.keys[:-1]).all()):
+            slot = torch.searchsorted(self.keys, keys).clamp_(max=len(self) - 1)
+            return slot, self.keys[slot] == keys
         ordered, order = self.keys.sort()
         slot = torch.searchsorted(ordered, keys).clamp_(max=len(self) - 1)
         return order[slot], ordered[slot] == keys
@@ -69,10 +72,14 @@ class KeyedTable:
         """
         if set(new_rows) != set(self.learning_rates):
             raise ValueError(f"rows {sorted(new_rows)} do not match parameters {sorted(self.learning_rates)}")
+        if not self.learning_rates:
+            self.keys, self._steps = keys.clone(), torch.zeros(keys.shape[0], device=keys.device)
+            return
         row, known = self.locate(keys)
-        had_rows = len(self) > 0
+        kept, had_rows = (row, (~known).nonzero()[:, 0]), len(self) > 0
+        if heirs is not None and len(heirs[0]) == 0:
+            heirs = None
         for name, fresh in new_rows.items():
-            mask = known.reshape(-1, *([1] * (fresh.ndim - 1)))
             values = fresh.detach().contiguous()
             first, second = torch.zeros_like(values), torch.zeros_like(values)
             if heirs is not None:
@@ -80,15 +87,15 @@ class KeyedTable:
                 first = _means(first, heirs, self._first[name])
                 second = _means(second, heirs, self._second[name])
             if had_rows:
-                values = torch.where(mask, self.leaves[name].detach()[row], values)
-                first = torch.where(mask, self._first[name][row], first)
-                second = torch.where(mask, self._second[name][row], second)
+                values = _taken(self.leaves[name].detach(), *kept, values)
+                first = _taken(self._first[name], *kept, first)
+                second = _taken(self._second[name], *kept, second)
             self.leaves[name] = values.clone().requires_grad_(self.learning_rates[name] > 0)
             self._first[name], self._second[name] = first, second
         steps = torch.zeros(keys.shape[0], device=keys.device)
         if heirs is not None:
             steps.scatter_reduce_(0, heirs[0], self._steps[heirs[1]], "amax")
-        self._steps = torch.where(known, self._steps[row], steps) if had_rows else steps
+        self._steps = _taken(self._steps, *kept, steps) if had_rows else steps
         self.keys = keys.clone()
 
     def zero_grad(self) -> None:
@@ -128,6 +135,16 @@ class KeyedTable:
             self.leaves[name] = state[f"value.{name}"].clone().requires_grad_(rate > 0)
             self._first[name] = state[f"first.{name}"].clone()
             self._second[name] = state[f"second.{name}"].clone()
+
+
+def _taken(
+    table: Float[Tensor, "n ..."],
+    row: Int64[Tensor, " m"],
+    new: Int64[Tensor, " p"],
+    others: Float[Tensor, "m ..."],
+) -> Float[Tensor, "m ..."]:
+    """Rows of the table, but for the places ``new``, which take theirs from ``others``."""
+    return table.index_select(0, row).index_copy_(0, new, others.index_select(0, new))
 
 
 def _means(

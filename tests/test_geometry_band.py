@@ -125,6 +125,26 @@ def test_tracking_closes_the_band_and_samples_each_corner_once(seed_count: int |
         assert torch.equal(getattr(band, name), getattr(expected, name)), name
 
 
+@pytest.mark.parametrize("moved", [0.0, 0.01, 0.1, 0.5])
+def test_an_earlier_band_changes_nothing_but_what_is_looked_up(moved: float):
+    """However far the surface has moved since: cells that were crossed may have split it, or lost it."""
+    shape, grid, log = torus_sdf(), cube_grid(24), []
+    before = track(sampler(shape, grid), grid, all_cells(grid)).detach()
+
+    def now(points: Tensor) -> Tensor:
+        return torch.minimum(shape(points + points.new_tensor([moved, 0.3 * moved, 0.0])), shape(points) + 3.0 * moved)
+
+    expected = track(sampler(now, grid), grid, before.cells)
+    band = track(sampler(now, grid, log), grid, before.cells, before)
+    sampled = torch.cat(log)
+    assert len(sampled.unique()) == len(sampled)
+    for name in ("cells", "cases", "corners", "cell_corners", "cell_at_corner", "corner_positions", "corner_sdf"):
+        assert torch.equal(getattr(band, name), getattr(expected, name)), name
+    # One of other cells is not used.
+    other = track(sampler(now, grid), grid, before.cells[:5], before)
+    assert torch.equal(other.cells, track(sampler(now, grid), grid, before.cells[:5]).cells)
+
+
 def test_band_is_consistent():
     grid = cube_grid(20)
     band = track(sampler(torus_sdf(), grid), grid, discover(torus_sdf(), grid, 0))

@@ -9,7 +9,7 @@ inside. Inside means sdf < 0; exactly 0 is outside.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Bool, Float, Int64
@@ -56,6 +56,10 @@ class Band:
     def neighbour(self, cells: Int64[Tensor, "..."], offset: int | Int64[Tensor, "..."]) -> Int64[Tensor, "..."]:
         """Rows of the cells whose corner 0 is corner ``offset`` of the given rows; -1 where there is none."""
         return self.cell_at_corner[self.cell_corners[cells, offset]]
+
+    def detach(self) -> "Band":
+        """The same without gradient, to be kept."""
+        return replace(self, corner_positions=self.corner_positions.detach(), corner_sdf=self.corner_sdf.detach())
 
 
 def corner_offsets(device: torch.device) -> Int64[Tensor, "8 3"]:
@@ -163,12 +167,15 @@ def discover(
     return pack(grid.level, ijk).sort().values
 
 
-def track(sample: CornerSampler, grid: Grid, seeds: Int64[Tensor, " s"]) -> Band:
+def track(sample: CornerSampler, grid: Grid, seeds: Int64[Tensor, " s"], before: Band | None = None) -> Band:
     """Follow the surface from the ``seeds`` (cell keys of the grid's level) until the band is closed.
 
     Each corner is sampled exactly once, and its value, with its gradient, is also what decides its sign: signs,
     closure and vertices cannot disagree. On the wall of the grid the sdf is raised to ``WALL_SDF`` cells. What comes
     out depends on the seeds only through the components of the surface that they meet.
+
+    ``before`` is a band found earlier. Where the seeds are its cells, neighbours are looked up only of those whose case
+    has changed; the result is the same to the bit.
 
     Raises EmptySurfaceError where no cell reached changes sign, FloatingPointError where a sampled sdf is not finite.
     """
@@ -184,9 +191,11 @@ def track(sample: CornerSampler, grid: Grid, seeds: Int64[Tensor, " s"]) -> Band
     positions: list[Tensor] = []
     values: list[Tensor] = []
     found: list[tuple[Tensor, Tensor, Tensor]] = []
-    visited, frontier = nothing, seeds.unique()
+    again = before is not None and torch.equal(before.cells, seeds)
+    visited, frontier = nothing, seeds if again else seeds.unique()
+    corners, cell_corners = (before.corners, before.cell_corners) if again else corners_of(frontier)
+    closed = before.cases if again else None
     while frontier.shape[0] > 0:
-        corners, cell_corners = corners_of(frontier)
         fresh = corners[~find(known, corners)[1]]
         if fresh.shape[0] > 0:
             position, value = sample_corners(sample, grid, fresh, WALL_SDF * grid.cell)
@@ -202,9 +211,14 @@ def track(sample: CornerSampler, grid: Grid, seeds: Int64[Tensor, " s"]) -> Band
         found.append((frontier[crossed], samples[crossed], cases[crossed]))
         visited = torch.cat([visited, frontier]).sort().values
         # Every face whose corners differ in sign must have a cell on its other side; uniform cells have no such face.
+        # Those of a cell that had this case in a closed band are among its cells, which have all been visited.
+        if closed is not None:
+            changed = cases != closed
+            frontier, cases, closed = frontier[changed], cases[changed], None
         part = cases[:, None] & masks
         beyond = (frontier[:, None] + steps)[(part > 0) & (part < masks)].unique()
         frontier = beyond[~find(visited, beyond)[1]]
+        corners, cell_corners = corners_of(frontier)
 
     if sum(len(cells) for cells, _, _ in found) == 0:
         raise EmptySurfaceError(f"the signed distance has one sign at the corners of all {len(visited)} cells tried")

@@ -137,7 +137,7 @@ def test_a_curve_that_is_level_ends_a_run_early(
 
 
 def test_a_slow_start_takes_nothing_from_the_rates(scene: Scene, monkeypatch: pytest.MonkeyPatch):
-    """Half of the time given is gone when optimisation begins; it begins with full rates."""
+    """A tenth of the time given is gone when optimisation begins; it begins with full rates."""
     from sculpt_framework.engine import pipeline as pipeline_module
     from sculpt_framework.engine.trainer import BiLevelTrainer
 
@@ -145,7 +145,7 @@ def test_a_slow_start_takes_nothing_from_the_rates(scene: Scene, monkeypatch: py
     rates: list[float] = []
 
     def slow_fit(*arguments: Any) -> float:
-        time.sleep(3.0)
+        time.sleep(6.0)
         return fit(*arguments)
 
     def watched(trainer: BiLevelTrainer, images: Any, stage: Any, rate: float) -> Any:
@@ -154,9 +154,10 @@ def test_a_slow_start_takes_nothing_from_the_rates(scene: Scene, monkeypatch: py
 
     monkeypatch.setattr(pipeline_module, "fit_to_views", slow_fit)
     monkeypatch.setattr(BiLevelTrainer, "settle", watched)
-    Pipeline(small_config(max_time=8.0, polish_steps=0), scene=scene, started=time.monotonic()).train()
+    config = small_config(max_time=60.0, polish_steps=0)
+    Pipeline(config, scene=scene, should_stop=lambda: bool(rates), started=time.monotonic()).train()
     assert rates[0] > 0.9
-    assert rates == sorted(rates, reverse=True)
+    assert config.trainer.final_rate**0.1 < 0.9
 
 
 # -- run directories -------------------------------------------------------------------------------------------------

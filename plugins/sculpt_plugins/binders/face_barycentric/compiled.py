@@ -14,10 +14,11 @@ from sculpt_framework.binders import Binding
 from sculpt_framework.cpu_kernels import kernel_cache, share_threads
 from sculpt_framework.types import Surface
 from sculpt_plugins.binders.face_barycentric.in_torch import Manner
-from sculpt_plugins.binders.face_barycentric.outline import log_density
+from sculpt_plugins.binders.face_barycentric.limits import TINY
+from sculpt_plugins.binders.face_barycentric.outline import COLUMN, Relief, log_density
 
 with kernel_cache("face-barycentric", Path(__file__).parent):
-    from sculpt_plugins.binders.face_barycentric import backward, forward, triples
+    from sculpt_plugins.binders.face_barycentric import backward, forward, relief, triples
 
 
 def runs_compiled(surface: Surface, rows: Mapping[str, Tensor]) -> bool:
@@ -42,6 +43,41 @@ def bind_compiled(
         barycentrics=barycentrics,
         tangent_covariance=covariance,
         tangent_corners=corners,
+    )
+
+
+def relief_compiled(surface: Surface, reference: str) -> Relief:
+    """As ``outline.relief_of``; the same bits from run to run, for any number of threads."""
+    share_threads()
+    vertices, faces = _array(surface.vertices), _array(surface.faces)
+    count = len(faces)
+    starts, entries = np.zeros(len(vertices) + 2, np.int64), np.empty(3 * count, np.int64)
+    across = np.empty(3 * count, np.int64)
+    relief.list_edges(faces, starts, entries)
+    relief.pair_edges(faces, starts, entries, across)
+    normals, centroids = np.empty((3, count), np.float32), np.empty((3, count), np.float32)
+    relief.look_along(vertices, faces, normals, centroids)
+    outward, reach = np.empty((3, 3, count), np.float32), np.empty((3, 2, count), np.float32)
+    heights, cosine, sine = (np.empty((3, count), np.float32) for _ in range(3))
+    areas = np.empty(-(-count // triples.CHUNK))
+    steiner = reference == "steiner"
+    relief.look_across(vertices, faces, steiner, across, normals, outward, heights, cosine, sine, reach, areas)
+    area = float(areas.sum()) / count
+    low = centroids.min(axis=1)
+    low = np.append(low, (centroids.max(axis=1) - low).max())
+    names, wanted = np.empty(count, np.int64), np.empty((2, count), np.int64)
+    relief.name_sides(centroids, normals, low, np.float32(COLUMN * math.sqrt(area + TINY)), names, wanted)
+    order = np.argsort(names)
+    thickness = np.empty(count, np.float32)
+    relief.find_gaps(centroids, normals, names[order], order, wanted, thickness)
+    return Relief(
+        outward=torch.from_numpy(outward),
+        heights=torch.from_numpy(heights),
+        cosine=torch.from_numpy(cosine),
+        sine=torch.from_numpy(sine),
+        reach=torch.from_numpy(reach),
+        area=area,
+        thickness=torch.from_numpy(thickness),
     )
 
 

@@ -12,5 +12,11 @@ FLAT = 1e-3
 """Sine of a bend that is no bend."""
 TINY = 1e-20
 """Keeps quotients of squares finite."""
+OPPOSITE = -0.5
+"""Cosine between the normals of two faces that are taken for the two sides of a sheet."""
+UNDECIDED = 0.7
+"""Component of a normal along its second axis, relative to the first, from which its partner may go by that one."""
+PLACE_BITS = 20
+"""Steps along the object in which the faces of a column are ordered: as a power of two."""
 LOG_LAYERS_FROM, LOG_LAYERS_TO, LOG_LAYERS_STEP = -1.0, 8.0, 0.125
 """Between which logarithms of the number of overlapping Gaussians the depth at a rim is tabled."""

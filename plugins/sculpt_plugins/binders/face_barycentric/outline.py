@@ -33,6 +33,9 @@ from sculpt_plugins.binders.face_barycentric.limits import (
 )
 from sculpt_plugins.binders.face_barycentric.sheets import thicknesses
 
+COLUMN = 2.0 * math.sqrt(2.0)
+"""Width of the columns in which the other side of a sheet is looked for, over the root of a face's mean area: two cells
+of a grid with two faces each."""
 _LAYERS_AT_AN_EDGE = 2
 """Gaussians that overlap on an outline at the least: one of either face at an edge."""
 
@@ -145,8 +148,7 @@ def relief_of(
         sine=torch.where(sine > FLAT, sine, 0.0),
         reach=(outward[:, None] * radii.permute(2, 1, 0)).sum(dim=2),
         area=area,
-        # Columns of two cells of a grid with two faces each.
-        thickness=thicknesses(corner.mean(dim=0), own, 2.0 * math.sqrt(2.0 * area + TINY)),
+        thickness=thicknesses(corner.mean(dim=0), own, COLUMN * math.sqrt(area + TINY)),
     )
 
 

@@ -6,12 +6,7 @@ import torch
 from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
-_OPPOSITE = -0.5
-"""Cosine between the normals of two faces that are taken for the two sides of a sheet."""
-_UNDECIDED = 0.7
-"""Component of a normal along its second axis, relative to the first, from which its partner may go by that one."""
-_PLACE_BITS = 20
-"""Steps along the object in which the faces of a column are ordered."""
+from sculpt_plugins.binders.face_barycentric.limits import OPPOSITE, PLACE_BITS, UNDECIDED
 
 
 def thicknesses(centroids: Float[Tensor, "3 f"], normals: Float[Tensor, "3 f"], column: float) -> Float[Tensor, " f"]:
@@ -24,13 +19,13 @@ def thicknesses(centroids: Float[Tensor, "3 f"], normals: Float[Tensor, "3 f"], 
     longest, second = normals.abs().argsort(dim=0, descending=True)[:2]
     low = centroids.amin(dim=1, keepdim=True)
     cells = ((centroids - low) / column).long()
-    places = ((centroids - low) * ((2**_PLACE_BITS - 1) / (centroids - low).amax().clamp(min=1e-20))).long()
+    places = ((centroids - low) * ((2**PLACE_BITS - 1) / (centroids - low).amax().clamp(min=1e-20))).long()
     count = int(cells.amax()) + 1
     names, face = torch.sort(_names(cells, places, normals > 0.0, longest, count))
     sides = _Sides(names=names, face=face, centroids=centroids, normals=normals)
     nearest = sides.gaps(_names(cells, places, normals <= 0.0, longest, count), centroids, normals)
     most, more = normals.abs().gather(0, torch.stack([longest, second]))
-    undecided = (more > _UNDECIDED * most).nonzero()[:, 0]
+    undecided = (more > UNDECIDED * most).nonzero()[:, 0]
     places, cells = places.index_select(1, undecided), cells.index_select(1, undecided)
     centroids, normals = centroids.index_select(1, undecided), normals.index_select(1, undecided)
     wanted = _names(cells, places, normals <= 0.0, second[undecided], count)
@@ -58,8 +53,8 @@ class _Sides:
             other = self.face.index_select(0, candidate)
             gap = ((centroids - self.centroids.index_select(1, other)) * normals).sum(dim=0)
             cosine = (normals * self.normals.index_select(1, other)).sum(dim=0)
-            same_column = self.names.index_select(0, candidate) >> _PLACE_BITS == wanted >> _PLACE_BITS
-            paired = same_column & (gap > 0.0) & (cosine < _OPPOSITE)
+            same_column = self.names.index_select(0, candidate) >> PLACE_BITS == wanted >> PLACE_BITS
+            paired = same_column & (gap > 0.0) & (cosine < OPPOSITE)
             nearest = torch.minimum(nearest, torch.where(paired, gap, torch.inf))
         return nearest
 
@@ -75,4 +70,4 @@ def _names(
     axis = axis[None]
     first, second = cells.gather(0, (axis + 1) % 3), cells.gather(0, (axis + 2) % 3)
     column = ((axis * 2 + ahead.gather(0, axis)) * count + first) * count + second
-    return (column << _PLACE_BITS | places.gather(0, axis))[0]
+    return (column << PLACE_BITS | places.gather(0, axis))[0]

@@ -51,6 +51,8 @@ class FlexiCubes(RefiningExtractor):
         self._boxes: tuple[RefineBox, ...] = ()
         self._worth: LevelMap | None = None
         self._hold: Hold | None = None
+        self._before: Band | None = None
+        """That of the latest surface, from which the next is found sooner."""
         self._device = device
         self._dtype = dtype
         self._tables: dict[str, KeyedTable] = {}
@@ -144,7 +146,9 @@ class FlexiCubes(RefiningExtractor):
             return grow_octree(self._hold.sampler(sample), roots, self._hold.seeds(seeds, wanted), wanted)
         if self._boxes or self._worth is not None:
             return grow_octree(sample, roots, coarsen(roots, seeds, wanted), wanted)
-        return track(sample, self._grid, seeds)
+        band = track(sample, self._grid, seeds, self._before)
+        self._before = band.detach()
+        return band
 
     def _cell_weights(self, cells: Int64[Tensor, " c"]) -> Mapping[str, Float[Tensor, "c w"]]:
         """Raw weights of the cells, by name. New ones take over from those they lie in or hold, or start neutral."""

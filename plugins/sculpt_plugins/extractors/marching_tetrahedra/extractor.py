@@ -31,6 +31,8 @@ class MarchingTetrahedra(RefiningExtractor):
         self._boxes: tuple[RefineBox, ...] = ()
         self._worth: LevelMap | None = None
         self._hold: Hold | None = None
+        self._before: Band | None = None
+        """That of the latest surface, from which the next is found sooner."""
         self._dtype = dtype
 
     @property
@@ -94,7 +96,9 @@ class MarchingTetrahedra(RefiningExtractor):
             return grow_octree(sample, roots, self._hold.seeds(seeds, wanted), wanted)
         if self._boxes or self._worth is not None:
             return grow_octree(sample, roots, coarsen(roots, seeds, wanted), wanted)
-        return track(sample, self._grid, seeds)
+        band = track(sample, self._grid, seeds, self._before)
+        self._before = band.detach()
+        return band
 
     def _of_octree(self, band: OctreeBand, sample: CornerSampler) -> Extraction:
         keys, positions, values = with_centers(band, sample)

@@ -191,10 +191,12 @@ def track(sample: CornerSampler, grid: Grid, seeds: Int64[Tensor, " s"], before:
     positions: list[Tensor] = []
     values: list[Tensor] = []
     found: list[tuple[Tensor, Tensor, Tensor]] = []
-    again = before is not None and torch.equal(before.cells, seeds)
-    visited, frontier = nothing, seeds if again else seeds.unique()
-    corners, cell_corners = (before.corners, before.cell_corners) if again else corners_of(frontier)
-    closed = before.cases if again else None
+    if before is not None and torch.equal(before.cells, seeds):
+        visited, frontier, closed = nothing, seeds, before.cases
+        corners, cell_corners = before.corners, before.cell_corners
+    else:
+        visited, frontier, closed = nothing, seeds.unique(), None
+        corners, cell_corners = corners_of(frontier)
     while frontier.shape[0] > 0:
         fresh = corners[~find(known, corners)[1]]
         if fresh.shape[0] > 0:

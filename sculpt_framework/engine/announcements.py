@@ -16,20 +16,15 @@ from sculpt_framework.types import Scene, Surface
 
 
 def run_started(
-    config: MethodConfig,
-    scene: Scene,
-    parts: Parts,
-    *,
-    views: int,
-    held_out: int,
-    total_steps: int | None,
+    config: MethodConfig, scene: Scene, parts: Parts, views: int, held_out: int, steps: int | None
 ) -> dict[str, Any]:
+    """``views`` are those that are learned from; ``steps`` is None where time decides."""
     reference = config.reference or scene.reference_mesh
     return {
         "method": config.method,
         "scene": scene.name,
         "notes": list(scene.notes),
-        "total_steps": total_steps,
+        "total_steps": steps,
         "max_time": config.max_time,
         "views": views,
         "held_out": held_out,

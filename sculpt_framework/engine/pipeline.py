@@ -72,9 +72,8 @@ class Pipeline:
         self._views = [self.scene.train[index] for index in chosen]
         rasterizer, box, device = self._parts.rasterizer, self.scene.box, self._parts.device
         self._yardstick = Yardstick(config, self.scene, held_out, rasterizer, device)
-        images = self._yardstick.images
-        shown = images[0] if images else prepare_image(self._views[0], box, 1.0, device, crop=False)
-        self._album = Album(rasterizer, shown, box, self._yardstick.reference, config.trainer.low_pass_px2)
+        shown = self._yardstick.images[:1] or [prepare_image(self._views[0], box, 1.0, device, crop=False)]
+        self._album = Album(rasterizer, shown[0], box, self._yardstick.reference, config.trainer.low_pass_px2)
         self._milestones = Milestones(given=config.max_time)
         self._stage_index = -1
         self._images: list[TrainingImage] = []
@@ -189,8 +188,10 @@ class Pipeline:
         rate = self._rate(progress)
         settled = self._trainer.settle(self._images, stage, rate)
         # Here a surface has colours of its own, and measuring it costs no extraction besides the step's.
-        self._measure_if_due(settled.surface.detach(), progress)
+        measured = self._measure_if_due(settled.surface.detach(), progress)
         report = self._trainer.update(settled, self._images, stage, rate)
+        if measured:  # And the step has gone well.
+            self._keep_good()
         self.outer += 1
         progress, psnr = self._schedule.progress(self.outer), self._milestones.latest("psnr")
         eta = self._pace.left(progress, self.clock.train_seconds)
@@ -200,7 +201,6 @@ class Pipeline:
             self._emit("decision", told)
 
     def _rate(self, progress: float) -> float:
-        """Factor on the learning rates."""
         return self._schedule.rate_factor(progress) * self._rate_scale
 
     def _recover(self, error: Exception) -> None:
@@ -228,10 +228,11 @@ class Pipeline:
         if self._status == "failed" and self._last_good is not None:
             self._return_to(self._last_good)
         try:
-            self._keep_better(progress)
+            self._keep_better(progress, trainable=self._status != "failed")
         except _UNSTABLE as error:
+            self._recoveries = 0  # This one is the last, and there is a result to be had by it.
             self._recover(error)
-            self._keep_better(progress)
+            self._keep_better(progress, trainable=False)
         surface = self._follow_surface()
         kept = capture(trainer, self._stage_index, self._generator)
         try:
@@ -245,11 +246,12 @@ class Pipeline:
         self._result = surface
         return reconstruct(trainer.scene, surface, self.scene.box)
 
-    def _keep_better(self, progress: float) -> float | None:
-        """Go back to the best state if the last one is worse. Returns the psnr of the state that is kept, if any."""
-        stage = self.config.trainer.stages[self._stage_index]
-        settled = self._trainer.settle(self._images, stage, self._rate(progress))
-        self._evaluate("end of optimisation", progress, settled.surface.detach())
+    def _keep_better(self, progress: float, *, trainable: bool = True) -> float | None:
+        """Go back to the best state if the last, settled if it can be, is worse. Returns the psnr of the one kept."""
+        surface, stage = None, self.config.trainer.stages[self._stage_index]
+        if trainable:
+            surface = self._trainer.settle(self._images, stage, self._rate(progress)).surface.detach()
+        self._evaluate("end of optimisation", progress, surface or self._follow_surface())
         latest = self._milestones.latest("psnr")
         if self._best is None or latest is None or self._best[0] <= latest + 0.02:
             return latest
@@ -273,17 +275,17 @@ class Pipeline:
 
     # -- measuring and telling -----------------------------------------------------------------------------------
 
-    def _measure_if_due(self, surface: Surface, progress: float) -> None:
+    def _measure_if_due(self, surface: Surface, progress: float) -> bool:
         now, spent = self.clock.train_seconds, self._evaluation_seconds
         reason = self._trainer.processes.first(lambda: self._milestones.due(progress, now, spent))
         if reason is None:
-            return
+            return False
         self._evaluate(reason, progress, surface)
         if self.outer == 0:
             with self.clock.pause():
                 self._album.begin(self._trainer.scene, surface)
-        self._keep_good()
         self._end_if_level()
+        return True
 
     def _end_if_level(self) -> None:
         """Have a run that gains no more come to its end, and its rates with it."""
@@ -346,9 +348,7 @@ class Pipeline:
 
     def _announce(self) -> None:
         views, held_out, steps = len(self._views), len(self._yardstick.images), self._schedule.total_steps
-        data = announcements.run_started(
-            self.config, self.scene, self._parts, views=views, held_out=held_out, total_steps=steps
-        )
+        data = announcements.run_started(self.config, self.scene, self._parts, views, held_out, steps)
         self._emit("run_started", data)
 
     def _emit(self, name: EventName, data: Mapping[str, Any]) -> None:

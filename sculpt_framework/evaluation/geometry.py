@@ -21,11 +21,11 @@ from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 
-import igl
 import numpy as np
 from jaxtyping import Float64, Int64
 from scipy.spatial import KDTree
 
+from sculpt_framework.evaluation.face_search import FaceSearch
 from sculpt_framework.evaluation.mesh import Mesh
 
 RELATIVE_THRESHOLDS = (0.001, 0.002, 0.005, 0.01)
@@ -111,14 +111,14 @@ class MeasuredMesh:
     def __init__(self, mesh: Mesh, samples: int = 200_000, seed: int = 0):
         """Faces without area are set aside: they add nothing to a surface. Raises ValueError if all are."""
         areas = mesh.areas
-        self.mesh = Mesh(vertices=mesh.vertices, faces=mesh.faces[areas > 0])
+        self.mesh = mesh if (areas > 0).all() else Mesh(vertices=mesh.vertices, faces=mesh.faces[areas > 0])
         self.area = float(areas.sum())
+        self._search = FaceSearch(self.mesh)
         self.samples = sample_surface(self.mesh, samples, seed)
 
     def with_samples(self, samples: int, seed: int = 0) -> "MeasuredMesh":
-        """The same mesh, its tree shared, with other samples."""
+        """The same mesh, what searches it shared, with other samples."""
         other = copy(self)
-        other.__dict__["_triangle_tree"] = self._triangle_tree
         other.__dict__.pop("_sample_tree", None)
         other.samples = sample_surface(self.mesh, samples, seed)
         return other
@@ -129,12 +129,6 @@ class MeasuredMesh:
         return self.mesh.diagonal
 
     @cached_property
-    def _triangle_tree(self) -> igl.AABB:
-        tree = igl.AABB()
-        tree.init(self.mesh.vertices, self.mesh.faces)
-        return tree
-
-    @cached_property
     def _sample_tree(self) -> KDTree:
         return KDTree(self.samples.points)
 
@@ -142,8 +136,7 @@ class MeasuredMesh:
         self, points: Float64[np.ndarray, "n 3"]
     ) -> tuple[Float64[np.ndarray, " n"], Int64[np.ndarray, " n"]]:
         """Exact squared distance of each point to the surface, and the nearest face."""
-        squared, face, _ = self._triangle_tree.squared_distance(self.mesh.vertices, self.mesh.faces, points)
-        return np.asarray(squared), np.asarray(face).astype(np.int64)
+        return self._search.squared_distances(points)
 
     def sample_distances(self, points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
         """Distance of each point to the nearest sample."""
@@ -157,11 +150,7 @@ class MeasuredMesh:
         self, origins: Float64[np.ndarray, "n 3"], ways: Float64[np.ndarray, "n 3"]
     ) -> Float64[np.ndarray, " n"]:
         """Where each ray first meets the surface, in lengths of its ``ways``; infinite where it never does."""
-        if len(origins) == 0:
-            return np.zeros(0)
-        tree, mesh = self._triangle_tree, self.mesh
-        face, place, _ = tree.intersect_ray_first(mesh.vertices, mesh.faces, np.ascontiguousarray(origins), ways)
-        return np.where(np.asarray(face) >= 0, np.asarray(place), np.inf)
+        return self._search.first_hits(origins, ways)
 
     def unit_normals(self, face: Int64[np.ndarray, " n"]) -> Float64[np.ndarray, "n 3"]:
         corners = self.mesh.vertices[self.mesh.faces[face]]

@@ -1,6 +1,7 @@
 """A triangle mesh to be measured: plain arrays, whoever made it."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -30,13 +31,13 @@ class Mesh:
         """Positions of each face's three vertices."""
         return self.vertices[self.faces]
 
-    @property
+    @cached_property
     def area_vectors(self) -> Float64[np.ndarray, "f 3"]:
         """Half the cross product of two edges: along the outward normal, as long as the face's area."""
         corners = self.corners
         return 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
-    @property
+    @cached_property
     def areas(self) -> Float64[np.ndarray, " f"]:
         return np.linalg.norm(self.area_vectors, axis=1)
 

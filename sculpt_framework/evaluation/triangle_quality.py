@@ -103,10 +103,9 @@ def sliver_share(mesh: Mesh) -> float:
     if len(mesh.faces) == 0:
         raise ValueError("a mesh without faces has no triangle quality")
     first, second, third = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))
-    one, other = second - first, third - first
-    x, y, z = np.cross(one, other).T
-    double_area = np.sqrt(x * x + y * y + z * z)
-    squares = np.stack([np.einsum("fx,fx->f", side, side) for side in (one, other, third - second)])
+    double_area = 2 * mesh.areas
+    sides = (second - first, third - first, third - second)
+    squares = np.stack([np.einsum("fx,fx->f", side, side) for side in sides])
     adjacent = squares.sum(axis=0) - 2 * squares.min(axis=0)
     slivers = (2 * double_area < np.tan(np.radians(SLIVER_DEGREES)) * adjacent) | (double_area == 0)
     return 100 * float(slivers.mean())

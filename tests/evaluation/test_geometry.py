@@ -72,12 +72,12 @@ def test_agrees_with_dense_nearest_samples():
     assert measured.completeness == pytest.approx(one_way(reference, result), rel=0.01)
 
 
-def test_other_samples_of_a_mesh_share_its_tree():
+def test_other_samples_of_a_mesh_share_what_searches_it():
     mesh = mesh_of(trimesh.creation.icosphere(subdivisions=3))
     few = MeasuredMesh(mesh, samples=500)
     many = few.with_samples(4000)
     assert len(few.samples.points) == 500
-    assert many._triangle_tree is few._triangle_tree
+    assert many._search is few._search
     result = mesh_of(trimesh.creation.icosphere(subdivisions=2, radius=0.9))
     assert chamfer(result, many, samples=4000) == chamfer(result, mesh, samples=4000)
 

@@ -160,7 +160,6 @@ class Pipeline:
         self._stage_index = index
         self._announce_stage()
         self._milestones.enter_stage()
-        self._keep_good()
         return stage
 
     def _announce_stage(self) -> None:
@@ -190,8 +189,7 @@ class Pipeline:
         # Here a surface has colours of its own, and measuring it costs no extraction besides the step's.
         measured = self._measure_if_due(settled.surface.detach(), progress)
         report = self._trainer.update(settled, self._images, stage, rate)
-        if measured:  # And the step has gone well.
-            self._keep_good()
+        self._last_good = measured or self._last_good  # A step has gone well from it.
         self.outer += 1
         progress, psnr = self._schedule.progress(self.outer), self._milestones.latest("psnr")
         eta = self._pace.left(progress, self.clock.train_seconds)
@@ -275,17 +273,19 @@ class Pipeline:
 
     # -- measuring and telling -----------------------------------------------------------------------------------
 
-    def _measure_if_due(self, surface: Surface, progress: float) -> bool:
+    def _measure_if_due(self, surface: Surface, progress: float) -> dict[str, Tensor] | None:
+        """The state that was measured, if one was."""
         now, spent = self.clock.train_seconds, self._evaluation_seconds
-        reason = self._trainer.processes.first(lambda: self._milestones.due(progress, now, spent))
-        if reason is None:
-            return False
+        if (reason := self._trainer.processes.first(lambda: self._milestones.due(progress, now, spent))) is None:
+            return None
         self._evaluate(reason, progress, surface)
         if self.outer == 0:
             with self.clock.pause():
                 self._album.begin(self._trainer.scene, surface)
         self._end_if_level()
-        return True
+        state = capture(self._trainer, self._stage_index, self._generator)
+        self._last_good = self._last_good or state
+        return state
 
     def _end_if_level(self) -> None:
         """Have a run that gains no more come to its end, and its rates with it."""

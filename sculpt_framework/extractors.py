@@ -66,7 +66,7 @@ class Extractor(ABC):
     @property
     @abstractmethod
     def tables(self) -> dict[str, KeyedTable]:
-        """Learnable parameters by name; empty if there are none."""
+        """Learnable parameters by name, by keys of cells or corners of the grid or an octree over it; empty if none."""
 
     @abstractmethod
     def extract(self, sdf: SdfFunction, seeds: Int64[Tensor, " s"]) -> Extraction:

@@ -48,12 +48,10 @@ class KeyedTable:
         """Row of each key and whether it is in the table; the row of an absent key is arbitrary but valid."""
         if len(self) == 0:
             return torch.zeros_like(keys), torch.zeros_like(keys, dtype=torch.bool)
-        if bool((self.keys[1:] > self.keys[:-1]).all()):
-            slot = torch.searchsorted(self.keys, keys).clamp_(max=len(self) - 1)
-            return slot, self.keys[slot] == keys
-        ordered, order = self.keys.sort()
+        ascending = bool((self.keys[1:] > self.keys[:-1]).all())
+        ordered, order = (self.keys, None) if ascending else self.keys.sort()
         slot = torch.searchsorted(ordered, keys).clamp_(max=len(self) - 1)
-        return order[slot], ordered[slot] == keys
+        return slot if order is None else order[slot], ordered[slot] == keys
 
     def rekey(
         self,
@@ -76,7 +74,7 @@ class KeyedTable:
             self.keys, self._steps = keys.clone(), torch.zeros(keys.shape[0], device=keys.device)
             return
         row, known = self.locate(keys)
-        kept, had_rows = (row, (~known).nonzero()[:, 0]), len(self) > 0
+        new, had_rows = (~known).nonzero()[:, 0], len(self) > 0
         if heirs is not None and len(heirs[0]) == 0:
             heirs = None
         for name, fresh in new_rows.items():
@@ -87,15 +85,15 @@ class KeyedTable:
                 first = _means(first, heirs, self._first[name])
                 second = _means(second, heirs, self._second[name])
             if had_rows:
-                values = _taken(self.leaves[name].detach(), *kept, values)
-                first = _taken(self._first[name], *kept, first)
-                second = _taken(self._second[name], *kept, second)
+                values = _taken(self.leaves[name].detach(), row, new, values)
+                first = _taken(self._first[name], row, new, first)
+                second = _taken(self._second[name], row, new, second)
             self.leaves[name] = values.clone().requires_grad_(self.learning_rates[name] > 0)
             self._first[name], self._second[name] = first, second
         steps = torch.zeros(keys.shape[0], device=keys.device)
         if heirs is not None:
             steps.scatter_reduce_(0, heirs[0], self._steps[heirs[1]], "amax")
-        self._steps = _taken(self._steps, *kept, steps) if had_rows else steps
+        self._steps = _taken(self._steps, row, new, steps) if had_rows else steps
         self.keys = keys.clone()
 
     def zero_grad(self) -> None:
@@ -103,18 +101,21 @@ class KeyedTable:
             leaf.grad = None
 
     @torch.no_grad()
-    def step(self, rate_factor: float = 1.0, eps: float = 1e-15) -> None:
-        """One Adam step with the rows' own step counts; parameters without a gradient stay."""
+    def step(self, rate_factor: float = 1.0, eps: float = 1e-15, still: Bool[Tensor, " n"] | None = None) -> None:
+        """One Adam step with the rows' own step counts; what has no gradient stays, and so do ``still`` rows."""
         if all(leaf.grad is None for leaf in self.leaves.values()):
             return
         self._steps += 1
         for name, leaf in self.leaves.items():
             if leaf.grad is None:
                 continue
+            kept = leaf[still] if still is not None else None
             moments = (self._first[name], self._second[name])
             compiled = leaf.device.type == "cpu" and leaf.dtype == leaf.grad.dtype == torch.float32
             adam = _adam_compiled if compiled else adam_in_torch
             adam(leaf, leaf.grad, *moments, self._steps, rate_factor * self.learning_rates[name], self.betas, eps)
+            if kept is not None:
+                leaf[still] = kept
 
     def state(self) -> dict[str, Tensor]:
         """Everything as named tensors, for a checkpoint."""

@@ -62,8 +62,8 @@ class SetRate:
 class AddBox:
     """Treat the surface in a box (world frame) otherwise.
 
-    refine: cells of half the size. freeze: the signed distance stays what it is. ignore: images teach nothing about the
-    surface there.
+    refine: cells of half the size. freeze: the signed distance and the extractor's weights stay what they are. ignore:
+    images teach nothing about the surface there.
     """
 
     kind: Literal["refine", "freeze", "ignore"]

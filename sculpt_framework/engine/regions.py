@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int64
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
@@ -14,6 +14,9 @@ from torch import Tensor
 from sculpt_framework.errors import CheckpointError
 from sculpt_framework.export.atomic import write_atomically
 from sculpt_framework.fields import Field
+from sculpt_framework.geometry.band import levels_of
+from sculpt_framework.geometry.grid import Grid, unpack_ijk
+from sculpt_framework.geometry.octree import vertex_level
 from sculpt_framework.types import Surface
 
 
@@ -94,6 +97,15 @@ def within(regions: Sequence[Region], points: Float[Tensor, "n 3"]) -> Bool[Tens
     for region in regions:
         inside |= region.depth(points) > 0
     return inside
+
+
+def frozen_rows(frozen: Sequence[Frozen], grid: Grid, keys: Int64[Tensor, " n"]) -> Bool[Tensor, " n"] | None:
+    """Of cells and corners of the grid, or of an octree over it, those in frozen regions; None if nothing is frozen."""
+    if not frozen:
+        return None
+    finest = grid.at_level(vertex_level(grid))
+    ijk = unpack_ijk(keys) << (finest.level - levels_of(keys))[:, None]
+    return within([each.region for each in frozen], finest.corner_positions(ijk, frozen[0].region.minimum.dtype))
 
 
 def untaught(regions: Sequence[Region], surface: Surface) -> Surface:

@@ -22,7 +22,7 @@ from sculpt_framework.constraints import Constraint
 from sculpt_framework.engine.gaussian_scene import GaussianScene, as_leaves, assemble, tensor_pairs
 from sculpt_framework.engine.images import TrainingImage
 from sculpt_framework.engine.parallel import Alone, Processes
-from sculpt_framework.engine.regions import Frozen, Region, signed_distance, untaught
+from sculpt_framework.engine.regions import Frozen, Region, frozen_rows, signed_distance, untaught
 from sculpt_framework.engine.resting import Resting
 from sculpt_framework.engine.trust_region import TrustRegion
 from sculpt_framework.extractors import Extraction, Extractor
@@ -130,11 +130,7 @@ class BiLevelTrainer:
         """Have all processes start from the first one's field and colours: fitting rounds as the machine likes."""
         self.processes.equalize([*self.field.parameters(), *self.scene.appearance.parameters()])
 
-    # -- the two levels ------------------------------------------------------------------------------------------
-
-    def outer_step(self, images: Sequence[TrainingImage], stage: StageConfig, rate_factor: float) -> StepReport:
-        """One step of the surface, with the inner loop before it. Raises as its two halves."""
-        return self.update(self.settle(images, stage, rate_factor), images, stage, rate_factor)
+    # -- the two levels: an outer step is settle, then update --------------------------------------------------
 
     def settle(self, images: Sequence[TrainingImage], stage: StageConfig, rate_factor: float) -> Settled:
         """Extract the current surface and fit the Gaussians to it in the inner loop; rows and colours change.
@@ -192,7 +188,7 @@ class BiLevelTrainer:
         before = self.trust.look(extraction, self.signed_distance)
         self.optimizer.step()
         for table in self.extractor.tables.values():
-            table.step(surface_rate)
+            table.step(surface_rate, still=frozen_rows(self.frozen, self.extractor.grid, table.keys))
         step_kept = self.trust.shorten(before, self.signed_distance, surface_rate)
         self._check_shape()
         if not self._config.gradient_isolation:

@@ -63,23 +63,9 @@ def _cells_of(vertices, faces, face, axis, origin, side, shape):
 
 
 @njit(**_OPTIONS)
-def count_entries(vertices, faces, origin, side, shape, starts):
-    """Entries of the cells before and including each; ``starts``, one longer than there are cells, comes zeroed."""
-    for face in range(faces.shape[0]):
-        x0, x1 = _cells_of(vertices, faces, face, 0, origin, side, shape)
-        y0, y1 = _cells_of(vertices, faces, face, 1, origin, side, shape)
-        z0, z1 = _cells_of(vertices, faces, face, 2, origin, side, shape)
-        for x in range(x0, x1 + 1):
-            for y in range(y0, y1 + 1):
-                for z in range(z0, z1 + 1):
-                    starts[(x * shape[1] + y) * shape[2] + z + 1] += 1
-    for cell in range(1, starts.shape[0]):
-        starts[cell] += starts[cell - 1]
-
-
-@njit(**_OPTIONS)
-def fill_entries(vertices, faces, origin, side, shape, cursor, entries):
-    """The triangles of each cell; ``cursor`` is a copy of ``starts``, and is used up."""
+def list_faces(vertices, faces, origin, side, shape, cursor, entries):
+    """Move ``cursor`` on by the number of triangles that meet each cell; put these in ``entries``, if it has room, from
+    where it was."""
     for face in range(faces.shape[0]):
         x0, x1 = _cells_of(vertices, faces, face, 0, origin, side, shape)
         y0, y1 = _cells_of(vertices, faces, face, 1, origin, side, shape)
@@ -88,7 +74,8 @@ def fill_entries(vertices, faces, origin, side, shape, cursor, entries):
             for y in range(y0, y1 + 1):
                 for z in range(z0, z1 + 1):
                     cell = (x * shape[1] + y) * shape[2] + z
-                    entries[cursor[cell]] = face
+                    if entries.shape[0] > 0:
+                        entries[cursor[cell]] = face
                     cursor[cell] += 1
 
 

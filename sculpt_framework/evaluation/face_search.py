@@ -29,7 +29,7 @@ class FaceSearch:
 
     def __init__(self, mesh: Mesh):
         """Every face must have an area."""
-        self._mesh = Mesh(vertices=np.ascontiguousarray(mesh.vertices), faces=np.ascontiguousarray(mesh.faces))
+        self._mesh = mesh
 
     def squared_distances(
         self, points: Float64[np.ndarray, "n 3"]
@@ -74,7 +74,8 @@ class FaceSearch:
 class _FaceGrid:
     """The triangles that meet each cell of a grid."""
 
-    mesh: Mesh
+    vertices: Float64[np.ndarray, "v 3"]
+    faces: Int64[np.ndarray, "f 3"]
     origin: Float64[np.ndarray, " 3"]
     side: float
     shape: Int64[np.ndarray, " 3"]
@@ -89,7 +90,7 @@ class _FaceGrid:
         squared, face = np.empty(len(points)), np.empty(len(points), np.int64)
         share_threads()
         face_grid_kernels.find_nearest(
-            np.ascontiguousarray(points), self.mesh.vertices, self.mesh.faces, self.origin, self.side, self.shape,
+            np.ascontiguousarray(points), self.vertices, self.faces, self.origin, self.side, self.shape,
             self.starts, self.entries, rings, squared, face,
         )  # fmt: skip
         return squared, face
@@ -102,11 +103,13 @@ def _face_grid(mesh: Mesh) -> _FaceGrid | None:
     extent = high - low
     side = max(side, float(np.cbrt(np.prod(np.maximum(extent, side)) / _MOST_CELLS)))
     shape = (extent / side).astype(np.int64) + 1
-    spans = np.ptp(mesh.vertices[mesh.faces], axis=1)
+    spans = np.ptp(mesh.corners, axis=1)
     if np.prod(spans / side + 1.0, axis=1).mean() > _CELLS_PER_FACE:
         return None
+    vertices, faces = np.ascontiguousarray(mesh.vertices), np.ascontiguousarray(mesh.faces)
     starts = np.zeros(int(np.prod(shape)) + 1, np.int64)
-    face_grid_kernels.count_entries(mesh.vertices, mesh.faces, low, side, shape, starts)
+    face_grid_kernels.list_faces(vertices, faces, low, side, shape, starts[1:], np.zeros(0, np.int64))
+    np.cumsum(starts, out=starts)
     entries = np.empty(int(starts[-1]), np.int64)
-    face_grid_kernels.fill_entries(mesh.vertices, mesh.faces, low, side, shape, starts.copy(), entries)
-    return _FaceGrid(mesh=mesh, origin=low, side=side, shape=shape, starts=starts, entries=entries)
+    face_grid_kernels.list_faces(vertices, faces, low, side, shape, starts[:-1].copy(), entries)
+    return _FaceGrid(vertices=vertices, faces=faces, origin=low, side=side, shape=shape, starts=starts, entries=entries)

@@ -98,7 +98,8 @@ def test_the_outer_step_moves_the_shape_and_no_row(scene: Scene):
     rows = values({**trainer.scene.geometry_rows.leaves, **trainer.scene.appearance_rows.leaves})
     shared = values(dict(trainer.scene.appearance.named_parameters()))
     before = values(dict(trainer.field.named_parameters()))
-    trainer.outer_step(images, replace(STAGE, inner_steps=0), 1.0)
+    bare = replace(STAGE, inner_steps=0)
+    trainer.update(trainer.settle(images, bare, 1.0), images, bare, 1.0)
     assert changed(before, dict(trainer.field.named_parameters()))
     assert changed(shared, dict(trainer.scene.appearance.named_parameters())) == set()
     after = {**trainer.scene.geometry_rows.leaves, **trainer.scene.appearance_rows.leaves}
@@ -111,7 +112,7 @@ def test_without_isolation_everything_moves_at_once(scene: Scene):
     trainer.scene.follow(trainer.extract().surface)
     field = values(dict(trainer.field.named_parameters()))
     colours = values(dict(trainer.scene.appearance.named_parameters()))
-    report = trainer.outer_step(images, STAGE, 1.0)
+    report = trainer.update(trainer.settle(images, STAGE, 1.0), images, STAGE, 1.0)
     assert report.inner_loss is None
     assert trainer.inner_total == 0
     assert changed(field, dict(trainer.field.named_parameters()))
@@ -125,5 +126,5 @@ def test_a_gradient_that_is_not_finite_updates_nothing(scene: Scene, monkeypatch
     first = next(trainer.field.parameters())
     first.register_hook(lambda gradient: gradient * torch.nan)
     with pytest.raises(FloatingPointError, match="gradient of the field is not finite"):
-        trainer.outer_step(images, STAGE, 1.0)
+        trainer.update(trainer.settle(images, STAGE, 1.0), images, STAGE, 1.0)
     assert changed(before, dict(trainer.field.named_parameters())) == set()

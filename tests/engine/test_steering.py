@@ -189,7 +189,8 @@ def test_weights_constraints_and_rates_do_what_they_say(scene: Scene, tmp_path: 
     assert ["mee-scale" in each for each in terms] == [True, True, False, False]
     assert run.pipeline.parts.trainer.surface_rate == 0
     before = {name: value.clone() for name, value in run.pipeline.parts.trainer.field.state_dict().items()}
-    report = run.pipeline.parts.trainer.outer_step(run.pipeline._images, config.trainer.stages[0], 1.0)
+    trainer, images, stage = run.pipeline.parts.trainer, run.pipeline._images, config.trainer.stages[0]
+    report = trainer.update(trainer.settle(images, stage, 1.0), images, stage, 1.0)
     after = run.pipeline.parts.trainer.field.state_dict()
     assert np.isfinite(report.loss)
     assert all(bool((before[name] == after[name]).all()) for name in before)
@@ -237,7 +238,9 @@ def test_refining_a_box_makes_finer_triangles_there(scene: Scene, tmp_path: Path
 
 
 def test_a_frozen_box_stays_and_the_rest_moves(scene: Scene, tmp_path: Path):
-    low, high = half(scene, upper=True)
+    (x0, y0, middle), (x1, y1, z1) = half(scene, upper=True)
+    # Walls beyond the object: only the passage at the lower one is on the surface.
+    low, high = (x0 - 1, y0 - 1, middle), (x1 + 1, y1 + 1, z1 + 1)
     config = small_config(outer_steps=10, stages=ONE_STAGE, fit_steps=20)
     run = Told(config, scene, tmp_path, [(3, AddBox(kind="freeze", minimum=low, maximum=high))])
     trainer, (frozen,) = run.pipeline.parts.trainer, run.pipeline.parts.trainer.frozen
@@ -251,11 +254,11 @@ def test_a_frozen_box_stays_and_the_rest_moves(scene: Scene, tmp_path: Path):
     assert torch.equal(held[deep], kept[deep])
     assert torch.equal(held[outside], free[outside])
     assert float((free - kept)[deep].abs().max()) > 1e-4
-    # The mesh may still shift inside its cells, as the extractor's weights settle.
     reference = MeasuredMesh(run.meshes[4].mesh, 100)
     distance = np.sqrt(reference.squared_distances(run.result.vertices)[0]) / scene.box.scale
     height = (run.result.vertices[:, 2] - float(scene.box.center[2])) / scene.box.scale
-    assert distance[height > passage].max() < 0.02 * run.pipeline.parts.grid.cell
+    # A vertex has to do with corners and weights up to a cell away.
+    assert distance[height > 1.5 * passage].max() < 1e-5 * run.pipeline.parts.grid.cell
 
 
 def test_images_teach_nothing_where_they_are_ignored(scene: Scene, tmp_path: Path):

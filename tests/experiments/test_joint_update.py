@@ -50,7 +50,7 @@ def step(
     images = [prepare_image(view, scene.box, 0.5, parts.device) for view in scene.train]
     stage = config.trainer.stages[0]
     stage = type(stage)(**{**vars(stage), "silhouette_only": silhouettes, "inner_steps": 0})
-    report = trainer.outer_step(images, stage, 1.0)
+    report = trainer.update(trainer.settle(images, stage, 1.0), images, stage, 1.0)
     return report.terms, trainer.scene.geometry_rows.leaves["barycentric_logits"].detach()
 
 

@@ -64,9 +64,9 @@ def relief_compiled(surface: Surface, reference: str) -> Relief:
     relief.look_across(vertices, faces, steiner, across, normals, outward, heights, cosine, sine, reach, areas)
     area = float(areas.sum()) / count
     low = centroids.min(axis=1)
-    low = np.append(low, (centroids.max(axis=1) - low).max())
+    extent = (centroids.max(axis=1) - low).max()
     names, wanted = np.empty(count, np.int64), np.empty((2, count), np.int64)
-    relief.name_sides(centroids, normals, low, np.float32(COLUMN * math.sqrt(area + TINY)), names, wanted)
+    relief.name_sides(centroids, normals, low, extent, np.float32(COLUMN * math.sqrt(area + TINY)), names, wanted)
     order = np.argsort(names)
     thickness = np.empty(count, np.float32)
     relief.find_gaps(centroids, normals, names[order], order, wanted, thickness)

@@ -108,14 +108,14 @@ def _name(axis, ahead, cells, place, count):
 
 
 @njit(parallel=True, **OPTIONS)
-def name_sides(centroids, normals, low, column, names, wanted):
+def name_sides(centroids, normals, low, extent, column, names, wanted):
     """Names of the faces, and names that their partners would have, as in sheets.py.
 
-    ``low`` has the least coordinates and the largest extent. ``wanted`` has two rows; the second is ``NOT_WANTED``
-    unless the normal is undecided between two axes.
+    ``low`` has the least coordinates, ``extent`` is the largest one. ``wanted`` has two rows; the second is
+    ``NOT_WANTED`` unless the normal is undecided between two axes.
     """
-    count = np.int64(low[3] / column) + 1
-    per_place = _LAST_PLACE / max(low[3], _TINY)
+    count = np.int64(extent / column) + 1
+    per_place = _LAST_PLACE / max(extent, _TINY)
     for i in prange(centroids.shape[1]):
         normal = _column(normals, i)
         x, y, z = centroids[0, i] - low[0], centroids[1, i] - low[1], centroids[2, i] - low[2]

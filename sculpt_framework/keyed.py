@@ -2,22 +2,16 @@
 
 The set of places changes whenever the surface moves. A ``KeyedTable`` keeps, per integer key, a row of each of its
 parameters *and the row's Adam state*, so that a place which is still there keeps everything exactly, and a new one
-starts with its own bias correction. torch.optim.Adam cannot: its moments are per tensor and its step count is one.
+starts with its own bias correction. An Adam of whole tensors cannot: its step count is one.
 """
 
 from collections.abc import Mapping
-from pathlib import Path
 
-import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int64
 from torch import Tensor
-from torch.autograd.graph import increment_version
 
-from sculpt_framework.cpu_kernels import kernel_cache, share_threads
-
-with kernel_cache("keyed", Path(__file__).with_name("keyed_kernels.py")):
-    from sculpt_framework import keyed_kernels
+from sculpt_framework.adam import move_rows
 
 
 class KeyedTable:
@@ -111,9 +105,7 @@ class KeyedTable:
                 continue
             kept = leaf[still] if still is not None else None
             moments = (self._first[name], self._second[name])
-            compiled = leaf.device.type == "cpu" and leaf.dtype == leaf.grad.dtype == torch.float32
-            adam = _adam_compiled if compiled else adam_in_torch
-            adam(leaf, leaf.grad, *moments, self._steps, rate_factor * self.learning_rates[name], self.betas, eps)
+            move_rows(leaf, leaf.grad, *moments, self._steps, rate_factor * self.learning_rates[name], self.betas, eps)
             if kept is not None:
                 leaf[still] = kept
 
@@ -158,58 +150,3 @@ def _means(
     count = torch.bincount(heir, minlength=rows.shape[0]).reshape(-1, *([1] * (rows.ndim - 1)))
     summed = torch.zeros_like(rows).index_add(0, heir, table.index_select(0, lender))
     return torch.where(count > 0, summed / count.clamp(min=1), rows)
-
-
-def adam_in_torch(
-    values: Float[Tensor, "n ..."],
-    gradients: Float[Tensor, "n ..."],
-    first: Float[Tensor, "n ..."],
-    second: Float[Tensor, "n ..."],
-    steps: Float[Tensor, " n"],
-    rate: float,
-    betas: tuple[float, float],
-    eps: float,
-) -> None:
-    """Move ``values`` and both moments in place; ``steps`` counts this one."""
-    beta1, beta2 = betas
-    first.lerp_(gradients, 1 - beta1)
-    second.mul_(beta2).addcmul_(gradients, gradients, value=1 - beta2)
-    scale = (1 - beta2**steps).sqrt_() / (1 - beta1**steps) * rate
-    values.sub_(first / second.sqrt().add_(eps) * scale.reshape(-1, *([1] * (values.ndim - 1))))
-
-
-def _adam_compiled(
-    values: Float[Tensor, "n ..."],
-    gradients: Float[Tensor, "n ..."],
-    first: Float[Tensor, "n ..."],
-    second: Float[Tensor, "n ..."],
-    steps: Float[Tensor, " n"],
-    rate: float,
-    betas: tuple[float, float],
-    eps: float,
-) -> None:
-    """``adam_in_torch`` for float32 on the CPU."""
-    if len(steps) == 0:
-        return
-    share_threads()
-    # Steps from 1 upwards; there are far fewer of them than rows.
-    taken = np.arange(1, int(steps.max()) + 1)
-    rates = np.zeros(len(taken) + 1, np.float32)
-    rates[1:] = rate * np.sqrt(1 - betas[1] ** taken) / (1 - betas[0] ** taken)
-    keyed_kernels.adam(
-        _as_rows(values),
-        _as_rows(gradients.contiguous()),
-        _as_rows(first),
-        _as_rows(second),
-        steps.numpy(),
-        rates,
-        np.float32(betas[0]),
-        np.float32(betas[1]),
-        np.float32(eps),
-    )
-    increment_version(values)
-
-
-def _as_rows(tensor: Float[Tensor, "n ..."]) -> np.ndarray:
-    """The same memory as a matrix with a row per key."""
-    return tensor.detach().view(len(tensor), -1).numpy()

@@ -147,6 +147,7 @@ def _measure(way: Way, resolution: int, request: ExtractRequest) -> ExtractRow:
     import torch
 
     from sculpt_framework import registry
+    from sculpt_framework.adam import Adam
     from sculpt_framework.config import FieldConfig
     from sculpt_framework.geometry.band import discover
 
@@ -160,7 +161,7 @@ def _measure(way: Way, resolution: int, request: ExtractRequest) -> ExtractRow:
     field.set_detail(2.0 / resolution)
     # Rates so small that the surface stays where it is.
     parameters = [parameter for group in field.parameter_groups() for parameter in group.parameters]
-    optimizer = torch.optim.Adam(parameters, lr=1e-9, fused=True)
+    optimizer = Adam([(parameters, 1e-9)])
 
     def sdf(points: torch.Tensor) -> torch.Tensor:
         return field(points).sdf

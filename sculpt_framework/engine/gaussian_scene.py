@@ -7,6 +7,7 @@ from jaxtyping import Float, Int64
 from scipy.spatial import KDTree
 from torch import Tensor
 
+from sculpt_framework.adam import Adam
 from sculpt_framework.appearances import Appearance, bands
 from sculpt_framework.binders import Binder, Binding, owning_faces
 from sculpt_framework.geometry.band import levels_of
@@ -25,8 +26,7 @@ class GaussianScene:
         self.geometry_rows = KeyedTable(binder.learning_rates)
         self.appearance_rows = KeyedTable(appearance.learning_rates)
         groups = appearance.optimizer_groups()
-        self.shared_optimizer = torch.optim.Adam(groups, eps=1e-15, fused=True) if groups else None
-        self.shared_rates = [group["lr"] for group in groups]
+        self.shared_optimizer = Adam([(group["params"], group["lr"]) for group in groups]) if groups else None
         self.blur = 0.0
         """Standard deviation of the screen's low-pass filter at the object, in object units; follows the images."""
         self._centroids: Float[Tensor, "f 3"] | None = None
@@ -104,9 +104,7 @@ class GaussianScene:
         self.geometry_rows.step(rate_factor)
         self.appearance_rows.step(rate_factor)
         if self.shared_optimizer is not None:
-            for group, rate in zip(self.shared_optimizer.param_groups, self.shared_rates, strict=True):
-                group["lr"] = rate * rate_factor
-            self.shared_optimizer.step()
+            self.shared_optimizer.step(rate_factor)
 
 
 def assemble(binding: Binding, sh: Float[Tensor, "f k b 3"]) -> Gaussians:

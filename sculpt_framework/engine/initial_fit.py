@@ -7,6 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
 
+from sculpt_framework.adam import Adam
 from sculpt_framework.config import MethodConfig
 from sculpt_framework.engine.images import in_object_frame
 from sculpt_framework.extractors import SdfFunction
@@ -89,13 +90,10 @@ def fit_field(
     if len(near) == 0:
         near = values.abs().topk(min(1000, len(values)), largest=False).indices
     groups = field.parameter_groups()
-    optimizer = torch.optim.Adam([{"params": g.parameters} for g in groups], betas=(0.9, 0.99), eps=1e-15, fused=True)
-    rates = [group.fit_rate for group in groups]
+    optimizer = Adam([(group.parameters, group.fit_rate) for group in groups], betas=(0.9, 0.99))
     half = _SAMPLES // 2
     error = float("nan")
     for step in range(steps):
-        for group, rate in zip(optimizer.param_groups, rates, strict=True):
-            group["lr"] = rate * 0.02 ** (step / max(1, steps - 1))
         anywhere = torch.randint(len(points), (half,), generator=generator).to(device)
         close = near[torch.randint(len(near), (half,), generator=generator).to(device)]
         jitter = (torch.rand(2 * half, 3, generator=generator) - 0.5).to(points) * grid.cell
@@ -108,5 +106,5 @@ def fit_field(
         error = float(residual[half:].detach().mean())
         optimizer.zero_grad()
         residual.mean().backward()
-        optimizer.step()
+        optimizer.step(0.02 ** (step / max(1, steps - 1)))
     return error

@@ -38,10 +38,10 @@ def capture(trainer: BiLevelTrainer, stage: int, generator: torch.Generator) -> 
         "inner_total": torch.tensor(trainer.inner_total),
     }
     _put(state, "field", trainer.field.state_dict())
-    _put(state, "field_optimizer", optimizer_state(trainer.optimizer))
+    _put(state, "field_optimizer", trainer.optimizer.state())
     _put(state, "appearance", trainer.scene.appearance.state_dict())
     if trainer.scene.shared_optimizer is not None:
-        _put(state, "appearance_optimizer", optimizer_state(trainer.scene.shared_optimizer))
+        _put(state, "appearance_optimizer", trainer.scene.shared_optimizer.state())
     for name, table in trainer.extractor.tables.items():
         _put(state, f"extractor.{name}", table.state())
     _put(state, "scene", trainer.scene.state())
@@ -61,40 +61,14 @@ def restore(trainer: BiLevelTrainer, generator: torch.Generator, state: Mapping[
     trainer.inner_total = int(state["inner_total"])
     generator.set_state(state["random"].clone())
     _load_module(trainer.field, _get(state, "field"))
-    load_optimizer_state(trainer.optimizer, _get(state, "field_optimizer"))
+    trainer.optimizer.load_state(_get(state, "field_optimizer"))
     _load_module(trainer.scene.appearance, _get(state, "appearance"))
     if trainer.scene.shared_optimizer is not None:
-        load_optimizer_state(trainer.scene.shared_optimizer, _get(state, "appearance_optimizer"))
+        trainer.scene.shared_optimizer.load_state(_get(state, "appearance_optimizer"))
     for name, table in trainer.extractor.tables.items():
         table.load_state(_get(state, f"extractor.{name}"))
     trainer.scene.load_state(_get(state, "scene"))
     trainer.resting.load_state(_get(state, "resting"))
-
-
-def optimizer_state(optimizer: torch.optim.Optimizer) -> dict[str, Tensor]:
-    """Moments and step counts of Adam by the position of their parameter."""
-    out: dict[str, Tensor] = {}
-    for index, parameter in enumerate(_parameters(optimizer)):
-        for name, value in optimizer.state.get(parameter, {}).items():
-            out[f"{index}.{name}"] = torch.as_tensor(value)
-    return out
-
-
-def load_optimizer_state(optimizer: torch.optim.Optimizer, state: Mapping[str, Tensor]) -> None:
-    for index, parameter in enumerate(_parameters(optimizer)):
-        entries = {
-            name.partition(".")[2]: value.clone()
-            for name, value in state.items()
-            if name.partition(".")[0] == str(index)
-        }
-        if entries:
-            optimizer.state[parameter] = entries
-        else:
-            optimizer.state.pop(parameter, None)
-
-
-def _parameters(optimizer: torch.optim.Optimizer) -> list[nn.Parameter]:
-    return [parameter for group in optimizer.param_groups for parameter in group["params"]]
 
 
 def _load_module(module: nn.Module, state: Mapping[str, Tensor]) -> None:

@@ -16,6 +16,7 @@ import torch
 from jaxtyping import Float, Int64
 from torch import Tensor
 
+from sculpt_framework.adam import Adam
 from sculpt_framework.binders import Binding
 from sculpt_framework.config import StageConfig, TrainerConfig
 from sculpt_framework.constraints import Constraint
@@ -102,9 +103,7 @@ class BiLevelTrainer:
         self.extractor = extractor
         self.scene = scene
         groups = field.parameter_groups()
-        self.optimizer = torch.optim.Adam(
-            [{"params": g.parameters} for g in groups], betas=(0.9, 0.99), eps=1e-15, fused=True
-        )
+        self.optimizer = Adam([(group.parameters, group.rate) for group in groups], betas=(0.9, 0.99))
         self.seeds: Int64[Tensor, " s"] | None = None
         """Cells the surface was in after the latest extraction."""
         self.extraction: Extraction | None = None
@@ -115,7 +114,6 @@ class BiLevelTrainer:
         self.surface_rate = 1.0
         self.gaussian_rate = 1.0
         """Factors on the learning rates of the schedule."""
-        self._field_rates = [group.rate for group in groups]
         self.trust = TrustRegion(config.trust_cells, [p for group in groups for p in group.parameters])
         self._rasterizer = rasterizer
         self.objectives = objectives
@@ -181,12 +179,10 @@ class BiLevelTrainer:
         self._check_gradients()
         if not stage.silhouette_only:
             self._note_rest({name: terms[name] for name in seen})
-        taken = max((int(state["step"]) for state in self.optimizer.state.values()), default=0)
-        surface_rate = rate_factor * self.surface_rate * min(1.0, (taken + 1) / self._config.ramp_steps)
-        for group, rate in zip(self.optimizer.param_groups, self._field_rates, strict=True):
-            group["lr"] = rate * surface_rate
+        ramp = min(1.0, (self.optimizer.taken + 1) / self._config.ramp_steps)
+        surface_rate = rate_factor * self.surface_rate * ramp
         before = self.trust.look(extraction, self.signed_distance)
-        self.optimizer.step()
+        self.optimizer.step(surface_rate)
         for table in self.extractor.tables.values():
             table.step(surface_rate, still=frozen_rows(self.frozen, self.extractor.grid, table.keys))
         step_kept = self.trust.shorten(before, self.signed_distance, surface_rate)
@@ -317,7 +313,7 @@ class BiLevelTrainer:
 
     def _taught(self) -> list[Tensor]:
         """What learns in an outer step."""
-        parameters = [parameter for group in self.optimizer.param_groups for parameter in group["params"]]
+        parameters: list[Tensor] = [*self.optimizer.parameters]
         for table in self.extractor.tables.values():
             parameters += table.learning
         return parameters if self._config.gradient_isolation else parameters + self.scene.learning
@@ -361,16 +357,15 @@ class BiLevelTrainer:
 
     def _check_shape(self) -> None:
         """Of field and extractor, after they have been updated."""
-        for group in self.optimizer.param_groups:
-            for parameter in group["params"]:
-                _require_finite(parameter, "the field")
+        for parameter in self.optimizer.parameters:
+            _require_finite(parameter, "the field")
         for name, table in self.extractor.tables.items():
             for leaf in table.leaves.values():
                 _require_finite(leaf, f"the extractor's {name}")
 
     def _check_gradients(self) -> None:
         """Of field and extractor, before anything is updated by them."""
-        named = [("the field", p) for group in self.optimizer.param_groups for p in group["params"]]
+        named: list[tuple[str, Tensor]] = [("the field", parameter) for parameter in self.optimizer.parameters]
         for name, table in self.extractor.tables.items():
             named += [(f"the extractor's {name}", leaf) for leaf in table.leaves.values()]
         for name, tensor in named:

@@ -1,6 +1,7 @@
 """From depth maps to a signed distance: what views see through is empty, and what none knows stays as it was."""
 
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float32
@@ -36,45 +37,59 @@ def carve(solid: Volume, views: PackedViews, maps: DepthMaps, margin: float) -> 
     outside removed.
     """
     hull = solid.values < 0
-    nothing = np.zeros((0, 0, 0), bool)
-    carved = _carved(solid, _seen(solid, hull, nothing, views, maps), margin)
+    sums = _Sums(np.zeros(hull.shape, np.float32), np.zeros(hull.shape, np.float32), np.zeros(hull.shape, bool))
+    _add_up(solid, hull, np.zeros((0, 0, 0), bool), views, maps, sums)
+    carved = _carved(solid, _filled(solid, sums), margin)
     # Without its skin, which a line of sight along the surface may touch.
     left = np.asarray(ndimage.binary_erosion(carved < 0), dtype=bool)
-    carved = _carved(solid, _seen(solid, hull, left, views, maps), margin)
+    _add_up(solid, sums.seen_through.copy(), left, views, maps, sums)
+    carved = _carved(solid, _filled(solid, sums), margin)
     return solid.holding(signed_distance(_one_piece(carved < 0, hull), carved, solid.cell))
 
 
-def _seen(
+class _Sums(NamedTuple):
+    """Of what the maps say of cells."""
+
+    distance: Float32[np.ndarray, "x y z"]
+    """To what is seen, cut at the truncation, over the views that say something."""
+    views: Float32[np.ndarray, "x y z"]
+    seen_through: Bool[np.ndarray, "x y z"]
+    """Whether a view sees beyond the truncation here."""
+
+
+def _add_up(
     solid: Volume,
-    hull: Bool[np.ndarray, "x y z"],
+    wanted: Bool[np.ndarray, "x y z"],
     blocked: Bool[np.ndarray, "x2 y2 z2"],
     views: PackedViews,
     maps: DepthMaps,
-) -> Float32[np.ndarray, "x y z"]:
-    """Distance to what the maps show inside the hull, cut at the truncation, filled where no view knows.
-
-    Depths that see through ``blocked`` cells, the volume's or none at all, are not believed.
-    """
-    truncation = np.float32(_TRUNCATION * solid.cell)
-    points = solid.points
-    total, weight = np.zeros(len(points), np.float32), np.zeros(len(points), np.float32)
+    sums: _Sums,
+) -> None:
+    """Make the sums of these cells anew, believing no depth that sees through ``blocked`` cells, if there are any."""
     fuse(
-        points,
-        hull.reshape(-1),
+        solid.points,
+        wanted.reshape(-1),
         maps.depths,
         views.poses,
         views.lenses,
         views.positions,
-        truncation,
+        _truncation(solid),
         blocked,
         np.array(solid.origin, np.float32),
         np.float32(solid.cell),
-        total,
-        weight,
+        *(each.reshape(-1) for each in sums),
     )
-    total, weight = total.reshape(hull.shape), weight.reshape(hull.shape)
+
+
+def _filled(solid: Volume, sums: _Sums) -> Float32[np.ndarray, "x y z"]:
+    """Distance to what the maps show, from the shape known before where no view knows."""
+    truncation = _truncation(solid)
     prior = np.clip(solid.values, -truncation, truncation)
-    return _fill(total / np.maximum(weight, 1), np.minimum(weight, _SURE) / _SURE, prior)
+    return _fill(sums.distance / np.maximum(sums.views, 1), np.minimum(sums.views, _SURE) / _SURE, prior)
+
+
+def _truncation(solid: Volume) -> np.float32:
+    return np.float32(_TRUNCATION * solid.cell)
 
 
 def _carved(solid: Volume, seen: Float32[np.ndarray, "x y z"], margin: float) -> Float32[np.ndarray, "x y z"]:

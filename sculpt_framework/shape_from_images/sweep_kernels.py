@@ -5,6 +5,7 @@ from numba import njit, prange
 
 # No "nnan" and "ninf": unknown depths are NaN, and places out of the question cost infinitely much.
 _OPTIONS = {"fastmath": {"nsz", "contract", "reassoc", "arcp"}, "error_model": "numpy", "cache": True, "nogil": True}
+_ONE, _HALF = np.float32(1), np.float32(0.5)
 _WINDOW = 9
 """Pixels that are compared together: 3 x 3."""
 _NEVER = np.float32(1.0)
@@ -28,41 +29,36 @@ def _ray(pose, lens, column, row):
 
 
 @njit(inline="always", **_OPTIONS)
-def _rotate(pose, x, y, z):
-    return (
-        pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z,
-        pose[1, 0] * x + pose[1, 1] * y + pose[1, 2] * z,
-        pose[2, 0] * x + pose[2, 1] * y + pose[2, 2] * z,
-    )
-
-
-@njit(inline="always", **_OPTIONS)
-def _difference(window, image, lens, point, across, down, enough):
+def _difference(window, colors, lenses, view, point, across, down, enough):
     """Mean absolute difference between a window and its image in another view, given in that view's frame.
 
     ``point`` is the window's centre, ``across`` and ``down`` lead to its next pixels. Gives up above ``enough``.
     """
-    height, width = image.shape[0], image.shape[1]
+    last_column, last_row = np.float32(colors.shape[2] - 1), np.float32(colors.shape[1] - 1)
+    fx, fy, cx, cy = lenses[view, 0], lenses[view, 1], lenses[view, 2] - _HALF, lenses[view, 3] - _HALF
     limit = enough * np.float32(3 * _WINDOW)
     total = np.float32(0)
-    n = 0
-    for a in range(-1, 2):
-        for b in range(-1, 2):
+    n = np.uintp(0)
+    for a in (-_ONE, np.float32(0), _ONE):
+        for b in (-_ONE, np.float32(0), _ONE):
             z = point[2] + a * down[2] + b * across[2]
             if z <= _NEAR:
                 return _NEVER
-            u = lens[0] * (point[0] + a * down[0] + b * across[0]) / z + lens[2] - np.float32(0.5)
-            v = lens[1] * (point[1] + a * down[1] + b * across[1]) / z + lens[3] - np.float32(0.5)
-            if not (0 <= u < width - 1 and 0 <= v < height - 1):
+            nearness = _ONE / z
+            u = fx * (point[0] + a * down[0] + b * across[0]) * nearness + cx
+            v = fy * (point[1] + a * down[1] + b * across[1]) * nearness + cy
+            if not (0 <= u < last_column and 0 <= v < last_row):
                 return _NEVER
-            column, row = int(u), int(v)
-            right, below = u - column, v - row
-            left, above = 1 - right, 1 - below
+            # Unsigned, so that no index is tested for counting from the end.
+            column, row = np.uintp(u), np.uintp(v)
+            right, below = u - np.float32(column), v - np.float32(row)
+            left, above = _ONE - right, _ONE - below
+            next_column, next_row = column + np.uintp(1), row + np.uintp(1)
             for c in range(3):
-                upper = image[row, column, c] * left + image[row, column + 1, c] * right
-                lower = image[row + 1, column, c] * left + image[row + 1, column + 1, c] * right
+                upper = colors[view, row, column, c] * left + colors[view, row, next_column, c] * right
+                lower = colors[view, next_row, column, c] * left + colors[view, next_row, next_column, c] * right
                 total += abs(upper * above + lower * below - window[n, c])
-            n += 1
+            n += np.uintp(1)
         if total > limit:
             return _NEVER
     return total / np.float32(3 * _WINDOW)
@@ -92,7 +88,7 @@ def _cut_window(colors, view, row, column, window):
 @njit(inline="always", **_OPTIONS)
 def _vertex(before, here, after):
     """Where between its neighbours a minimum lies, by a parabola, in steps; 0 where they do not tell."""
-    bend = before + after - 2 * here
+    bend = before + after - np.float32(2) * here
     if not np.float32(1e-6) < bend < np.float32(np.inf):
         return np.float32(0)
     return min(max(np.float32(0.5) * (before - after) / bend, np.float32(-0.5)), np.float32(0.5))
@@ -146,19 +142,20 @@ def _cost(window, colors, lenses, others, relative, x, y, depth, across, down, b
     """
     last = best.shape[0] - 1
     best[:] = _NEVER
+    right, below = depth * across, depth * down
     for q in range(others.shape[0]):
-        to = relative[q]
         cost = _difference(
             window,
-            colors[others[q]],
-            lenses[others[q]],
+            colors,
+            lenses,
+            np.uintp(others[q]),
             (
-                depth * (to[0, 0] * x + to[0, 1] * y + to[0, 2]) + to[0, 3],
-                depth * (to[1, 0] * x + to[1, 1] * y + to[1, 2]) + to[1, 3],
-                depth * (to[2, 0] * x + to[2, 1] * y + to[2, 2]) + to[2, 3],
+                depth * (relative[q, 0, 0] * x + relative[q, 0, 1] * y + relative[q, 0, 2]) + relative[q, 0, 3],
+                depth * (relative[q, 1, 0] * x + relative[q, 1, 1] * y + relative[q, 1, 2]) + relative[q, 1, 3],
+                depth * (relative[q, 2, 0] * x + relative[q, 2, 1] * y + relative[q, 2, 2]) + relative[q, 2, 3],
             ),
-            (depth * across * to[0, 0], depth * across * to[1, 0], depth * across * to[2, 0]),
-            (depth * down * to[0, 1], depth * down * to[1, 1], depth * down * to[2, 1]),
+            (right * relative[q, 0, 0], right * relative[q, 1, 0], right * relative[q, 2, 0]),
+            (below * relative[q, 0, 1], below * relative[q, 1, 1], below * relative[q, 2, 1]),
             best[last],
         )
         slot = last
@@ -184,7 +181,7 @@ def sweep(colors, inside, pose, position, lenses, view, others, relative, invers
     height, width = depths.shape
     lens = lenses[view]
     count = inverse_depths.shape[0]
-    across, down = 1 / lens[0], 1 / lens[1]
+    across, down = _ONE / lens[0], _ONE / lens[1]
     step = (inverse_depths[count - 1] - inverse_depths[0]) / np.float32(count - 1)
     for row in prange(height):
         window = np.empty((_WINDOW, 3), np.float32)
@@ -200,7 +197,7 @@ def sweep(colors, inside, pose, position, lenses, view, others, relative, invers
             ray = _ray(pose, lens, np.float32(column + 0.5), np.float32(row + 0.5))
             costs[:] = np.inf
             for d in range(count):
-                depth = 1 / inverse_depths[d]
+                depth = _ONE / inverse_depths[d]
                 place = position[0] + depth * ray[0], position[1] + depth * ray[1], position[2] + depth * ray[2]
                 if _solid(solid, origin, cell, place[0], place[1], place[2]):
                     costs[d] = _cost(window, colors, lenses, others, relative, x, y, depth, across, down, best)
@@ -208,7 +205,7 @@ def sweep(colors, inside, pose, position, lenses, view, others, relative, invers
                     break
             index, fraction, cost = _choose(costs, ambiguity)
             if index >= 0 and cost <= worst:
-                depths[row, column] = 1 / (inverse_depths[index] + fraction * step)
+                depths[row, column] = _ONE / (inverse_depths[index] + fraction * step)
 
 
 @njit(parallel=True, **_OPTIONS)
@@ -221,7 +218,7 @@ def refine(colors, inside, lenses, view, others, relative, known, known_lens, st
     height, width = depths.shape
     lens = lenses[view]
     count = 2 * reach + 1
-    across, down = 1 / lens[0], 1 / lens[1]
+    across, down = _ONE / lens[0], _ONE / lens[1]
     for row in prange(height):
         window = np.empty((_WINDOW, 3), np.float32)
         costs = np.empty(count, np.float32)
@@ -245,7 +242,7 @@ def refine(colors, inside, lenses, view, others, relative, known, known_lens, st
                 p, q = v + m // 3 - 1, u + m % 3 - 1
                 if not (0 <= p < known.shape[0] and 0 <= q < known.shape[1]):
                     continue
-                start = 1 / known[p, q]
+                start = _ONE / known[p, q]
                 if not start > 0:
                     continue
                 fresh = True
@@ -256,12 +253,12 @@ def refine(colors, inside, lenses, view, others, relative, known, known_lens, st
                 tried[starts] = start
                 starts += 1
                 for d in range(count):
-                    depth = 1 / (start + np.float32(d - reach) * step)
+                    depth = _ONE / (start + np.float32(d - reach) * step)
                     costs[d] = _cost(window, colors, lenses, others, relative, x, y, depth, across, down, best)
                 index, fraction = _nearest_minimum(costs, reach)
                 if costs[index] < least:
                     least = costs[index]
-                    depths[row, column] = 1 / (start + (np.float32(index - reach) + fraction) * step)
+                    depths[row, column] = _ONE / (start + (np.float32(index - reach) + fraction) * step)
                 if least <= _GOOD:
                     break
 
@@ -286,7 +283,7 @@ def witness(depths, poses, lenses, positions, tolerance, agreeing, contradicting
                     x = positions[j, 0] + depth * ray[0]
                     y = positions[j, 1] + depth * ray[1]
                     z = positions[j, 2] + depth * ray[2]
-                    u, v, far = _project(poses[i], lenses[i], x, y, z)
+                    u, v, far = _project(poses, lenses, i, x, y, z)
                     if not (far > _NEAR and 0 <= u < width and 0 <= v < height):
                         continue
                     p, q = int(v), int(u)
@@ -302,32 +299,31 @@ def witness(depths, poses, lenses, positions, tolerance, agreeing, contradicting
 
 
 @njit(inline="always", **_OPTIONS)
-def _project(pose, lens, x, y, z):
-    point = _rotate(pose, x, y, z)
-    far = point[2] + pose[2, 3]
-    return (
-        lens[0] * (point[0] + pose[0, 3]) / far + lens[2],
-        lens[1] * (point[1] + pose[1, 3]) / far + lens[3],
-        far,
-    )
+def _project(poses, lenses, view, x, y, z):
+    far = poses[view, 2, 0] * x + poses[view, 2, 1] * y + poses[view, 2, 2] * z + poses[view, 2, 3]
+    nearness = _ONE / far
+    across = poses[view, 0, 0] * x + poses[view, 0, 1] * y + poses[view, 0, 2] * z + poses[view, 0, 3]
+    down = poses[view, 1, 0] * x + poses[view, 1, 1] * y + poses[view, 1, 2] * z + poses[view, 1, 3]
+    u, v = lenses[view, 0] * across * nearness, lenses[view, 1] * down * nearness
+    return u + lenses[view, 2], v + lenses[view, 3], far
 
 
 @njit(inline="always", **_OPTIONS)
-def _between(depths, u, v, jump):
+def _between(depths, view, u, v, jump):
     """Depth at (u, v), in pixels from the middle of the first: interpolated where the four around are of one surface,
     that of the nearest surface where they are not. NaN if none of them is known, or outside of the image."""
-    height, width = depths.shape
-    if not (0 <= u < width - 1 and 0 <= v < height - 1):
+    height, width = depths.shape[1], depths.shape[2]
+    if not (0 <= u < np.float32(width - 1) and 0 <= v < np.float32(height - 1)):
         return np.float32(np.nan)
-    column, row = int(u), int(v)
-    right, below = u - column, v - row
+    column, row = np.uintp(u), np.uintp(v)
+    right, below = u - np.float32(column), v - np.float32(row)
     nearest, furthest = np.float32(np.inf), np.float32(-np.inf)
     total, weight = np.float32(0), np.float32(0)
     for a in range(2):
         for b in range(2):
-            depth = depths[row + a, column + b]
+            depth = depths[view, row + np.uintp(a), column + np.uintp(b)]
             if depth > 0:
-                share = (below if a == 1 else 1 - below) * (right if b == 1 else 1 - right)
+                share = (below if a == 1 else _ONE - below) * (right if b == 1 else _ONE - right)
                 total += share * depth
                 weight += share
                 nearest, furthest = min(nearest, depth), max(furthest, depth)
@@ -352,30 +348,31 @@ def _clear(solid, origin, cell, x, y, z, camera):
 
 
 @njit(parallel=True, **_OPTIONS)
-def fuse(points, wanted, depths, poses, lenses, positions, truncation, solid, origin, cell, total, weight):
-    """Per ``wanted`` point, the sum over views of how far in front of the seen surface it lies, and the number of such
-    views.
+def fuse(points, wanted, depths, poses, lenses, positions, truncation, solid, origin, cell, total, weight, through):
+    """Per ``wanted`` point, the sum over views of how far in front of the seen surface it lies, the number of such
+    views, and whether one sees ``through`` it. Other points keep what they have.
 
     Cut at ``truncation`` in front; a view says nothing about what lies deeper than that behind what it sees, nor that a
     place is empty which it would have to see through what is ``solid``.
     """
     for n in prange(points.shape[0]):
-        total[n] = 0
-        weight[n] = 0
         if not wanted[n]:
             continue
         x, y, z = points[n, 0], points[n, 1], points[n, 2]
+        total[n], weight[n], through[n] = np.float32(0), np.float32(0), False
         for i in range(depths.shape[0]):
-            u, v, far = _project(poses[i], lenses[i], x, y, z)
+            u, v, far = _project(poses, lenses, i, x, y, z)
             if not far > _NEAR:
                 continue
-            ahead = _between(depths[i], u - np.float32(0.5), v - np.float32(0.5), truncation) - far
+            ahead = _between(depths, i, u - _HALF, v - _HALF, truncation) - far
             if not ahead >= -truncation:
                 continue
-            if ahead > truncation and not _clear(solid, origin, cell, x, y, z, positions[i]):
-                continue
+            if ahead > truncation:
+                through[n] = True
+                if not _clear(solid, origin, cell, x, y, z, positions[i]):
+                    continue
             total[n] += min(ahead, truncation)
-            weight[n] += 1
+            weight[n] += _ONE
 
 
 @njit(parallel=True, **_OPTIONS)

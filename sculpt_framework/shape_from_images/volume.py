@@ -4,11 +4,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from jaxtyping import Float32
+from jaxtyping import Float, Float32
 from torch import Tensor
 from torch.nn import functional
 
 from sculpt_framework.extractors import SdfFunction
+
+_BLOCK = 4
+"""Cells along a side of the blocks that are looked at first."""
+_CHUNK = 1 << 17
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -54,12 +58,43 @@ class Volume:
 
 
 def sample(function: SdfFunction, half_sides: tuple[float, float, float], cells: int, device: torch.device) -> Volume:
-    """A function at the centres of cells that cover the box, ``cells`` of them along the longest side, and one more
-    around."""
+    """A signed distance at the centres of cells that cover the box, ``cells`` of them along the longest side, and one
+    more around.
+
+    Away from the surface it is interpolated between centres four or two cells apart, so it must not change sign there:
+    its size may not be more than the distance to its zero.
+    """
     cell = 2 * max(half_sides) / cells
     shape = [int(np.ceil(2 * side / cell)) + 2 for side in half_sides]
     origin = (-0.5 * shape[0] * cell, -0.5 * shape[1] * cell, -0.5 * shape[2] * cell)
-    empty = Volume(values=np.zeros(shape, np.float32), origin=origin, cell=cell)
-    chunks = torch.from_numpy(empty.points).to(device).split(1 << 17)
-    values = torch.cat([function(chunk).cpu() for chunk in chunks])
-    return empty.holding(values.numpy().astype(np.float32).reshape(shape))
+    start = torch.tensor(origin, device=device) + 0.5 * cell
+    # A lattice that blocks of four cells fill.
+    blocks = [-(-(count - 1) // _BLOCK) for count in shape]
+
+    def at(places: Tensor, step: int) -> Tensor:
+        points = start + cell * step * places
+        return torch.cat([function(part) for part in points.split(_CHUNK)])
+
+    values = at(torch.cartesian_prod(*(torch.arange(n + 1, device=device) for n in blocks)), _BLOCK)
+    values, step = values.reshape([n + 1 for n in blocks]), _BLOCK
+    while step > 1:
+        # Half the diagonal of a block to the nearest corner that is known, and a cell beside the surface.
+        near = _blocks_near(values, (0.5 * 3**0.5 * step + 1) * cell)
+        values = functional.interpolate(
+            values[None, None], [2 * n - 1 for n in values.shape], mode="trilinear", align_corners=True
+        )[0, 0]
+        step //= 2
+        wanted = functional.max_pool3d(
+            functional.interpolate(near[None, None], scale_factor=2.0), kernel_size=2, stride=1, padding=1
+        )[0, 0]
+        places = wanted.nonzero()
+        values[tuple(places.T)] = at(places, step)
+    inside = values[: shape[0], : shape[1], : shape[2]]
+    return Volume(values=inside.cpu().numpy().astype(np.float32).copy(), origin=origin, cell=cell)
+
+
+def _blocks_near(values: Float[Tensor, "x y z"], reach: float) -> Float[Tensor, "x2 y2 z2"]:
+    """1 for the blocks between eight lattice points whose values come within ``reach`` of 0, or lie on both sides."""
+    highest = functional.max_pool3d(values[None, None], kernel_size=2, stride=1)[0, 0]
+    lowest = -functional.max_pool3d(-values[None, None], kernel_size=2, stride=1)[0, 0]
+    return ((lowest < reach) & (highest > -reach)).to(values.dtype)

@@ -67,8 +67,8 @@ def _shape_nan(pipeline: Pipeline) -> None:
 
 def _moments_infinite(pipeline: Pipeline) -> None:
     optimizer = trainer_of(pipeline).optimizer
-    for state in optimizer.state.values():
-        state["exp_avg"].fill_(torch.inf)
+    state = optimizer.state()
+    optimizer.load_state({n: v.fill_(torch.inf) if n.endswith("exp_avg") else v for n, v in state.items()})
 
 
 def _level(value: float, pipeline: Pipeline) -> None:

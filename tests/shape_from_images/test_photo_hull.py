@@ -96,9 +96,9 @@ def test_few_views_give_the_hull(views, count, caplog):
     """So few have no neighbours to be compared with."""
     caplog.set_level("INFO", "sculpt")
     target = PhotoHullConfig(cells=32, pixels=32, depths=16).build().target(views[:count], HALF_SIDES, CPU)
-    dense = sample(visual_hull(views[:count], 100, CPU), (1.0, 1.0, 1.0), 32, CPU)
-    here = target(torch.from_numpy(dense.points)).numpy().reshape(dense.shape)
-    assert here == pytest.approx(dense.values, abs=1e-6)
+    hull = visual_hull(views[:count], 100, CPU)
+    points = torch.from_numpy(sample(hull, (1.0, 1.0, 1.0), 32, CPU).points)
+    assert target(points).numpy() == pytest.approx(hull(points).numpy(), abs=1e-6)
     assert "start from the visual hull" in caplog.text
 
 

@@ -51,8 +51,15 @@ def config_of(scene: str, output: Path) -> MethodConfig:
     )
 
 
-def attempt(config: MethodConfig, resume: Path | None, kill_after: float | None) -> int | None:
-    """The exit code of a run in a process of its own; None if it had to be killed."""
+def attempt(
+    config: MethodConfig, folder: Path, resume: Path | None, kill_after: float | None, *, written: bool = False
+) -> int | None:
+    """The exit code of a run in a process of its own; None if it had to be killed.
+
+    That is ``kill_after`` seconds from its start, or, if it is to have ``written`` something to its folder, from its
+    first checkpoint.
+    """
+    before = checkpoint_time(folder)
     child = os.fork()
     if child == 0:
         code = 1
@@ -66,8 +73,10 @@ def attempt(config: MethodConfig, resume: Path | None, kill_after: float | None)
             code = 2
         finally:
             os._exit(code)
-    deadline = time.monotonic() + (600.0 if kill_after is None else kill_after)
+    deadline = time.monotonic() + (600.0 if kill_after is None or written else kill_after)
     while time.monotonic() < deadline:
+        if written and checkpoint_time(folder) != before:
+            written, deadline = False, time.monotonic() + (kill_after or 0.0)
         done, status = os.waitpid(child, os.WNOHANG)
         if done:
             return os.waitstatus_to_exitcode(status)
@@ -75,6 +84,12 @@ def attempt(config: MethodConfig, resume: Path | None, kill_after: float | None)
     os.kill(child, signal.SIGKILL)
     _, status = os.waitpid(child, 0)
     return None if os.WIFSIGNALED(status) else os.waitstatus_to_exitcode(status)
+
+
+def checkpoint_time(folder: Path) -> int:
+    """When the last checkpoint was written; 0 if there is none."""
+    path = folder / CHECKPOINTS / FILE_NAME
+    return path.stat().st_mtime_ns if path.exists() else 0
 
 
 def broken_files(folder: Path) -> list[str]:
@@ -103,6 +118,12 @@ def final(folder: Path) -> dict[str, object]:
     return {name: value for name, value in metrics.items() if name not in TIMES}
 
 
+def until_first_checkpoint(folder: Path) -> float:
+    """Seconds from a run's start until there is something to go on from."""
+    events = [json.loads(line) for line in (folder / "events.jsonl").read_text().splitlines()]
+    return next(event["t_wall"] for event in events if event["event"] == "checkpoint")
+
+
 def main() -> None:
     scene, work, kills, seed = sys.argv[1], Path(sys.argv[2]), int(sys.argv[3]), int(sys.argv[4])
     moments = random.Random(seed)
@@ -111,16 +132,20 @@ def main() -> None:
     torch.set_num_threads(1)
     Pipeline(config_of(scene, unbroken))
     began = time.monotonic()
-    if attempt(config_of(scene, unbroken), None, None) != 0:
+    if attempt(config_of(scene, unbroken), unbroken, None, None) != 0:
         sys.exit("the unbroken run failed")
     seconds = time.monotonic() - began
+    unwritten = until_first_checkpoint(unbroken)
     counts = dict.fromkeys(("kills", "resumed", "started_again", "runs"), 0)
     report = {"seconds": seconds, **counts, "broken": [], "different": []}
     number, folder, resume = 0, work / "run-0", None
     while report["kills"] < kills or resume is not None:
         config = config_of(scene, folder) if resume is None else read_config(folder / CONFIG_NAME)
         last = report["kills"] >= kills
-        code = attempt(config, resume, None if last else moments.uniform(0.0, 0.8 * seconds))
+        # Loading and starting take most of so small a run; of the kills they get a fifth.
+        written = moments.random() > 0.2
+        kill_after = moments.uniform(0.0, seconds - unwritten if written else unwritten)
+        code = attempt(config, folder, resume, None if last else kill_after, written=written and not last)
         report["broken"] += broken_files(folder)
         if code is None:
             report["kills"] += 1

@@ -3,7 +3,8 @@
     python docs/measure_start.py DIR [--repeats 3] [--threads N]
 
 DIR is anything that ``sculpt-train --data`` takes. The surface that the default method starts from is made from it
-several times in one process; told is the median, in wall and in CPU seconds, without the first time, which loads kernels.
+several times in one process; told is the median, in wall and in CPU seconds, without the first time, which loads
+kernels.
 """
 
 import argparse

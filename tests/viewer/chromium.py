@@ -167,6 +167,19 @@ class Page:
             before, place = place, self.evaluate(f"({_PLACE})({json.dumps(label)})")
         self.press(*place)
 
+    def unfold(self, heading: str, label: str, seconds: float = 90.0) -> None:
+        """Open the folder with this heading, which then shows the label.
+
+        A busy page may still be about to open the folder above, and then the press meets what comes to lie there.
+        """
+        deadline = time.monotonic() + seconds
+        while label not in self.text():
+            assert time.monotonic() < deadline, f"{heading!r} does not open and show {label!r}:\n{self.text()}"
+            self.click(heading)
+            pressed = time.monotonic()
+            while label not in self.text() and time.monotonic() < pressed + 5.0:
+                time.sleep(0.2)
+
     def fill(self, label: str, *values: float, seconds: float = 90.0) -> None:
         """Type numbers into the fields beside this label, each ended with Tab."""
         for index, value in enumerate(values):

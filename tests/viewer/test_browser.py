@@ -164,11 +164,11 @@ def test_weights_and_rates_have_their_effect(run: Run, chromium: Chromium):
     page.wait_for("Steer")
     page.click("Steer")
     assert run.wait_for_steps(1)[0]["terms"]["eikonal"] > 0
-    page.click("Weights")
+    page.unfold("Weights", "eikonal")
     page.fill("eikonal", 0)
     run.wait_for_command(do="set-weight", slot="losses", name="eikonal", weight=0.0)
     assert all(step["terms"]["eikonal"] == 0 for step in run.wait_for_steps(2))
-    page.click("Learning rates")
+    page.unfold("Learning rates", "Of the gaussians, times")
     page.fill("Of the gaussians, times", 0.5)
     run.wait_for_command(do="set-rate", part="gaussians", factor=0.5)
     page.fill("Of the surface, times", 0)
@@ -309,7 +309,7 @@ def test_a_constraint_can_be_left_out_and_taken_in_again(joint: Run, chromium: C
     page = chromium.open(joint.address)
     page.wait_for("Steer")
     page.click("Steer")
-    page.click("Constraints")
+    page.unfold("Constraints", "mee-scale")
     assert "mee-scale" in joint.wait_for_steps(1)[0]["terms"]
     for on in (False, True):
         page.click("mee-scale")

@@ -19,6 +19,10 @@ with kernel_cache("adam", Path(__file__).with_name("adam_kernels.py")):
     from sculpt_framework import adam_kernels
 
 
+EPS = 1e-15
+"""Keeps the root of a second moment that is still zero from being divided by."""
+
+
 class Adam:
     """Moves parameters that have a gradient. Their moments come with the first one."""
 
@@ -26,11 +30,10 @@ class Adam:
         self,
         groups: Sequence[tuple[Sequence[nn.Parameter], float]],
         betas: tuple[float, float] = (0.9, 0.999),
-        eps: float = 1e-15,
     ):
         """``groups`` are parameters with their learning rate."""
         self._rates = [(parameter, rate) for parameters, rate in groups for parameter in parameters]
-        self._betas, self._eps = betas, eps
+        self._betas = betas
         self._moments: dict[int, dict[str, Tensor]] = {}
 
     @property
@@ -64,7 +67,7 @@ class Adam:
                 int(state["step"]),
                 rate * rate_factor,
                 self._betas,
-                self._eps,
+                EPS,
             )
 
     def state(self) -> dict[str, Tensor]:
@@ -94,7 +97,7 @@ def move_rows(
         return
     if not _is_compiled(values, gradients):
         scale = _bias_correction(steps, betas) * rate
-        adam_in_torch(values, gradients, first, second, scale.reshape(-1, *([1] * (values.ndim - 1))), betas, eps)
+        _move_in_torch(values, gradients, first, second, scale.reshape(-1, *([1] * (values.ndim - 1))), betas, eps)
         return
     share_threads()
     # Steps from 1 upwards; there are far fewer of them than rows.
@@ -119,7 +122,7 @@ def _move_all(
 ) -> None:
     scale = _bias_correction(torch.tensor([step], dtype=torch.float64), betas) * rate
     if not _is_compiled(values, gradients):
-        adam_in_torch(values, gradients, first, second, scale.to(values), betas, eps)
+        _move_in_torch(values, gradients, first, second, scale.to(values), betas, eps)
         return
     share_threads()
     adam_kernels.move_all(
@@ -129,7 +132,7 @@ def _move_all(
     increment_version(values)
 
 
-def adam_in_torch(
+def _move_in_torch(
     values: Float[Tensor, "..."],
     gradients: Float[Tensor, "..."],
     first: Float[Tensor, "..."],

@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
-from sculpt_framework.adam import move_rows
+from sculpt_framework.adam import EPS, move_rows
 
 
 class KeyedTable:
@@ -95,7 +95,7 @@ class KeyedTable:
             leaf.grad = None
 
     @torch.no_grad()
-    def step(self, rate_factor: float = 1.0, eps: float = 1e-15, still: Bool[Tensor, " n"] | None = None) -> None:
+    def step(self, rate_factor: float = 1.0, eps: float = EPS, still: Bool[Tensor, " n"] | None = None) -> None:
         """One Adam step with the rows' own step counts; what has no gradient stays, and so do ``still`` rows."""
         if all(leaf.grad is None for leaf in self.leaves.values()):
             return

@@ -14,9 +14,8 @@ from torch import Tensor
 from sculpt_framework.errors import CheckpointError
 from sculpt_framework.export.atomic import write_atomically
 from sculpt_framework.fields import Field
-from sculpt_framework.geometry.band import levels_of
-from sculpt_framework.geometry.grid import Grid, unpack_ijk
-from sculpt_framework.geometry.octree import vertex_level
+from sculpt_framework.geometry.grid import Grid
+from sculpt_framework.geometry.octree_policy import extent
 from sculpt_framework.types import Surface
 
 
@@ -103,9 +102,7 @@ def frozen_rows(frozen: Sequence[Frozen], grid: Grid, keys: Int64[Tensor, " n"])
     """Of cells and corners of the grid, or of an octree over it, those in frozen regions; None if nothing is frozen."""
     if not frozen:
         return None
-    finest = grid.at_level(vertex_level(grid))
-    ijk = unpack_ijk(keys) << (finest.level - levels_of(keys))[:, None]
-    return within([each.region for each in frozen], finest.corner_positions(ijk, frozen[0].region.minimum.dtype))
+    return within([each.region for each in frozen], extent(grid, keys)[0])
 
 
 def untaught(regions: Sequence[Region], surface: Surface) -> Surface:

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Bool, Int64
+from jaxtyping import Bool, Float64, Int64
 from torch import Tensor
 
 from sculpt_framework.extractors import SdfFunction
@@ -81,7 +81,7 @@ def wanted_levels(grid: Grid, boxes: Sequence[RefineBox] = (), worth: LevelMap |
     def wanted(cells: Int64[Tensor, " n"]) -> Int64[Tensor, " n"]:
         level = torch.full_like(cells, grid.level) if worth is None else worth.at(cells).clamp(max=grid.level)
         if boxes:
-            low, high = _extent(grid, cells)
+            low, high = extent(grid, cells)
             for box in boxes:
                 reached = (high > low.new_tensor(box.minimum)) & (low < low.new_tensor(box.maximum))
                 level = torch.where(reached.all(dim=1), level.clamp(min=grid.level + box.levels), level)
@@ -112,7 +112,7 @@ def may_hold_surface(
 
     Where the sdf changes by no more than ``lipschitz`` per unit of length, a cell that fails has no surface.
     """
-    low, high = _extent(grid, cells)
+    low, high = extent(grid, cells)
     reach = lipschitz * 0.5 * torch.linalg.vector_norm(high - low, dim=1) + margin
     centers = (0.5 * (low + high)).to(torch.get_default_dtype())
     near = [sdf(part).abs() for part in centers.split(points_per_call)]
@@ -151,8 +151,8 @@ def coarsen(grid: Grid, cells: Int64[Tensor, " n"], wanted: WantedLevels) -> Int
         cells = torch.where(enough, above, cells)
 
 
-def _extent(grid: Grid, cells: Int64[Tensor, " n"]) -> tuple[Tensor, Tensor]:
-    """Lowest and highest corners "n 3" of cells of any level, in float64."""
+def extent(grid: Grid, cells: Int64[Tensor, " n"]) -> tuple[Float64[Tensor, "n 3"], Float64[Tensor, "n 3"]]:
+    """Lowest and highest corners of cells of any level."""
     side = grid.base_cell * torch.pow(0.5, levels_of(cells).double())[:, None]
     low = torch.tensor(grid.origin, dtype=torch.float64, device=cells.device) + unpack_ijk(cells) * side
     return low, low + side

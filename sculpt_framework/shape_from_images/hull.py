@@ -13,6 +13,7 @@ from torch import Tensor
 from sculpt_framework.cpu_kernels import kernel_cache, share_threads
 from sculpt_framework.errors import DataError
 from sculpt_framework.extractors import SdfFunction
+from sculpt_framework.shape_from_images.packing import covered_window
 from sculpt_framework.types import Camera, View
 
 with kernel_cache("hull", Path(__file__).with_name("hull_kernels.py")):
@@ -115,12 +116,8 @@ def _cropped(camera: Camera, alpha: Float[Tensor, "h w"]) -> tuple[Camera, Float
     """Without most of what is outside, unless the silhouette goes on beyond the image."""
     if _is_open(alpha):
         return camera, alpha
-    covered = alpha >= _COVERED
-    rows, columns = covered.any(dim=1).nonzero()[:, 0], covered.any(dim=0).nonzero()[:, 0]
-    x0, y0 = max(0, int(columns[0]) - _MARGIN), max(0, int(rows[0]) - _MARGIN)
-    x1, y1 = int(columns[-1]) + 1 + _MARGIN, int(rows[-1]) + 1 + _MARGIN
-    part = alpha[y0:y1, x0:x1]
-    return camera.crop(x0, y0, part.shape[1], part.shape[0]), part
+    x, y, width, height = covered_window(alpha, _MARGIN)
+    return camera.crop(x, y, width, height), alpha[y : y + height, x : x + width]
 
 
 def _largest(outlines: _Outlines, points: Float32[np.ndarray, "n 3"]) -> Float32[np.ndarray, " n"]:

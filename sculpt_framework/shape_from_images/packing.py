@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Bool, Float32, Int64
+from jaxtyping import Bool, Float, Float32, Int64
+from torch import Tensor
 
 from sculpt_framework.types import View
 
@@ -80,19 +81,29 @@ def pack_views(views: Sequence[View], pixels_per_unit: float) -> PackedViews:
     )
 
 
+def covered_window(alpha: Float[Tensor, "h w"], margin: int) -> tuple[int, int, int, int]:
+    """Column, row, width and height of the part of an image that holds all pixels covered by half, of which there is
+    one, and ``margin`` pixels around as far as there are."""
+    covered = alpha >= 0.5
+    spans = []
+    for axis, count in ((0, alpha.shape[1]), (1, alpha.shape[0])):
+        places = covered.any(dim=axis).nonzero()[:, 0]
+        first = max(0, int(places[0]) - margin)
+        spans.append((first, min(count, int(places[-1]) + 1 + margin) - first))
+    (x, width), (y, height) = spans
+    return x, y, width, height
+
+
 def _prepare(view: View, pixels_per_unit: float) -> View | None:
     distance = float(view.camera.position.norm())
     if view.alpha is None or distance == 0.0:
         return None
-    rows, columns = np.nonzero(view.alpha.cpu().numpy() >= 0.5)
-    if len(rows) == 0:
+    if not bool((view.alpha >= 0.5).any()):
         return None
-    height, width = view.alpha.shape
-    x0, y0 = max(0, int(columns.min()) - _MARGIN), max(0, int(rows.min()) - _MARGIN)
-    x1, y1 = min(width, int(columns.max()) + 1 + _MARGIN), min(height, int(rows.max()) + 1 + _MARGIN)
-    camera = view.camera.crop(x0, y0, x1 - x0, y1 - y0)
-    alpha = view.alpha[y0:y1, x0:x1].cpu().numpy()
-    rgb = view.rgb[y0:y1, x0:x1].cpu().numpy() * alpha[..., None]
+    x, y, width, height = covered_window(view.alpha, _MARGIN)
+    camera = view.camera.crop(x, y, width, height)
+    alpha = view.alpha[y : y + height, x : x + width].cpu().numpy()
+    rgb = view.rgb[y : y + height, x : x + width].cpu().numpy() * alpha[..., None]
     scale = min(1.0, pixels_per_unit * distance / max(camera.fx, camera.fy))
     size = max(1, round(camera.width * scale)), max(1, round(camera.height * scale))
     shrunk = [cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in (rgb, alpha)]

@@ -6,6 +6,7 @@ from numba import njit, prange
 # No "nnan" and "ninf": unknown depths are NaN, and places out of the question cost infinitely much.
 _OPTIONS = {"fastmath": {"nsz", "contract", "reassoc", "arcp"}, "error_model": "numpy", "cache": True, "nogil": True}
 _ONE, _HALF = np.float32(1), np.float32(0.5)
+"""Not literals: with an integer, be it 1 or a loop's counter, numba makes a float64 of a float32."""
 _WINDOW = 9
 """Pixels that are compared together: 3 x 3."""
 _NEVER = np.float32(1.0)

@@ -90,7 +90,7 @@ def sample(function: SdfFunction, half_sides: tuple[float, float, float], cells:
         places = wanted.nonzero()
         values[tuple(places.T)] = at(places, step)
     inside = values[: shape[0], : shape[1], : shape[2]]
-    return Volume(values=inside.cpu().numpy().astype(np.float32).copy(), origin=origin, cell=cell)
+    return Volume(values=np.ascontiguousarray(inside.cpu().numpy(), np.float32), origin=origin, cell=cell)
 
 
 def _blocks_near(values: Float[Tensor, "x y z"], reach: float) -> Float[Tensor, "x2 y2 z2"]:

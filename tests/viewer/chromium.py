@@ -42,21 +42,27 @@ _PLACE = """
     }
 """
 
-# Select what is in the given one of the fields beside a label.
+# The given one of the fields beside a label, if it is shown.
 _FIELD = """
     (label, index) => {
         const named = [...document.querySelectorAll('body *')].filter(
             each => each.innerText && each.innerText.trim() === label && each.offsetParent !== null).at(-1);
         let around = named;
         while (around && !around.querySelector('input')) around = around.parentElement;
-        if (!around) return false;
-        const field = [...around.querySelectorAll('input')].filter(each => each.type !== 'hidden')[index];
-        field.scrollIntoView({block: 'center', behavior: 'instant'});
-        field.focus();
-        field.select();
-        return true;
+        return around ? [...around.querySelectorAll('input')].filter(each => each.type !== 'hidden')[index] : null;
     }
 """
+_SELECT = f"""
+    (label, index) => {{
+        const field = ({_FIELD})(label, index);
+        if (!field) return false;
+        field.scrollIntoView({{block: 'center', behavior: 'instant'}});
+        field.focus();
+        field.select();
+        return document.activeElement === field;
+    }}
+"""
+_VALUE = f"(label, index) => {{ const field = ({_FIELD})(label, index); return field ? field.value : null; }}"
 
 
 def find_chromium() -> str:
@@ -168,28 +174,46 @@ class Page:
         self.press(*place)
 
     def unfold(self, heading: str, label: str, seconds: float = 90.0) -> None:
-        """Open the folder with this heading, which then shows the label.
+        """Open the folder with this heading, which then shows the label, at rest.
 
-        A busy page may still be about to open the folder above, and then the press meets what comes to lie there.
+        A busy page may still be about to open the folder above, and then the press meets what comes to lie there; it
+        may also be long in opening this one, and a second press would shut it.
         """
         deadline = time.monotonic() + seconds
-        while label not in self.text():
+        while not self._rests(label):
             assert time.monotonic() < deadline, f"{heading!r} does not open and show {label!r}:\n{self.text()}"
+            if label in self.text():
+                continue
             self.click(heading)
             pressed = time.monotonic()
-            while label not in self.text() and time.monotonic() < pressed + 5.0:
+            while label not in self.text() and time.monotonic() < pressed + 15.0:
                 time.sleep(0.2)
 
+    def _rests(self, label: str) -> bool:
+        """Whether what has this label is shown and stays where it is for a second."""
+        script = f"({_PLACE})({json.dumps(label)})"
+        place = self.evaluate(script)
+        time.sleep(1.0)
+        return place is not None and place == self.evaluate(script)
+
     def fill(self, label: str, *values: float, seconds: float = 90.0) -> None:
-        """Type numbers into the fields beside this label, each ended with Tab."""
+        """Type numbers into the fields beside this label, each ended with Tab, until they are there."""
         for index, value in enumerate(values):
             deadline = time.monotonic() + seconds
-            while not self.evaluate(f"({_FIELD})({json.dumps(label)}, {index})"):
-                assert time.monotonic() < deadline, f"no field is labelled {label!r}:\n{self.text()}"
+            while not self._type(label, index, value):
+                assert time.monotonic() < deadline, f"no field labelled {label!r} takes {value:g}:\n{self.text()}"
                 time.sleep(0.2)
-            self.call("Input.insertText", text=f"{value:g}")
-            for kind in ("rawKeyDown", "keyUp"):
-                self.call("Input.dispatchKeyEvent", type=kind, key="Tab", code="Tab", windowsVirtualKeyCode=9)
+
+    def _type(self, label: str, index: int, value: float) -> bool:
+        where = f"({json.dumps(label)}, {index})"
+        if not self.evaluate(f"({_SELECT}){where}"):
+            return False
+        self.call("Input.insertText", text=f"{value:g}")
+        for kind in ("rawKeyDown", "keyUp"):
+            self.call("Input.dispatchKeyEvent", type=kind, key="Tab", code="Tab", windowsVirtualKeyCode=9)
+        time.sleep(0.2)
+        typed = self.evaluate(f"({_VALUE}){where}")
+        return bool(typed) and float(typed) == value
 
     def is_on(self, label: str) -> bool:
         """Whether the checkbox with this label is checked."""

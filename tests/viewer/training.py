@@ -12,10 +12,11 @@ STEPS = 100_000
 """More than any test waits for: a run ends when it is told to."""
 
 
-def eventually(condition: Callable[[], bool], seconds: float = 180.0) -> None:
+def eventually(condition: Callable[[], bool], seconds: float = 180.0, found: Callable[[], object] = str) -> None:
+    """Until the condition holds; fails in the end with what is ``found``."""
     deadline = time.monotonic() + seconds
     while not condition():
-        assert time.monotonic() < deadline
+        assert time.monotonic() < deadline, found()
         time.sleep(0.1)
 
 
@@ -71,7 +72,7 @@ class Run:
         def fitting() -> Sequence[dict]:
             return [command for command in self.commands if wanted.items() <= command.items()]
 
-        eventually(lambda: bool(fitting()))
+        eventually(lambda: bool(fitting()), found=lambda: f"{wanted} is not among {self.commands}")
         return fitting()[-1]
 
     def wait_for_steps(self, count: int) -> list[dict]:

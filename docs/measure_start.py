@@ -30,8 +30,7 @@ PARTS = {
     "find_depths": (initializer, "depth maps"),
     "refine_depths": (initializer, "finer depth maps"),
     "carve": (initializer, "joining them"),
-    "tabulate": (initial_fit, "table of the surface"),
-    "fit_field": (initial_fit, "fitting the field, with the table"),
+    "fit_field": (initial_fit, "fitting the field"),
 }
 
 
@@ -57,7 +56,7 @@ def main() -> None:
     for _ in range(chosen.repeats + 1):
         torch.manual_seed(0)
         field, generator = config.field.build(device), torch.Generator().manual_seed(0)
-        whole(field, config, scene.train, scene.box, grid, detail, generator, device)
+        whole(field, config, scene.train, scene.box, detail, generator, device, lambda target: None)
     sys.stdout.write(f"{'part':36} {'wall':>6} {'CPU':>6}\n")
     for name, times in rows.items():
         per_run = len(times) // (chosen.repeats + 1)

@@ -1,7 +1,7 @@
 """Slot ``initializer``: the surface optimisation starts from."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import torch
 from jaxtyping import Float
@@ -18,8 +18,13 @@ class Initializer(ABC):
         """Whether the start is so rough that silhouettes alone must shape it before colours can (paper, 3.3)."""
 
     @abstractmethod
-    def target(self, views: Sequence[View], half_sides: Float[Tensor, " 3"], device: torch.device) -> SdfFunction:
-        """Roughly a signed distance, for the field to be fitted to. Views and sides are in the object frame.
+    def targets(
+        self, views: Sequence[View], half_sides: Float[Tensor, " 3"], device: torch.device
+    ) -> Iterator[SdfFunction]:
+        """Rough signed distances, each better than the one before; the field is fitted to the last.
+
+        Those before are surfaces that were come by on the way, for the curve of error against time: a start is a good
+        part of a short run. Views and sides are in the object frame.
 
         Raises DataError if the views do not allow such a start; the message names an initializer that works.
         """

@@ -98,7 +98,7 @@ def _rows(data: str, request: StartRequest) -> list[StartRow]:
         config = registry.default("initializer", name)
         assert isinstance(config, InitializerConfig)  # noqa: S101
         wall, cpu = time.perf_counter(), time.process_time()
-        function = config.build().target(views, scene.box.half_sides, torch.device("cpu"))
+        *_, function = config.build().targets(views, scene.box.half_sides, torch.device("cpu"))
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
         mesh = _surface(function, scene, request.cells)
         result = chamfer(mesh, reference, samples=request.samples, point_to_point=False)
@@ -122,18 +122,14 @@ def _surface(function: "SdfFunction", scene: "Scene", cells: int) -> "Mesh":
     import numpy as np
     import torch
 
+    from sculpt_framework.engine.initial_fit import start_surface
     from sculpt_framework.evaluation.mesh import Mesh
-    from sculpt_framework.geometry.band import discover
     from sculpt_framework.geometry.grid import grid_over_box
 
     device = torch.device("cpu")
     grid = grid_over_box(scene.box.half_sides, cells)
     config = registry.default("extractor", "marching-tetrahedra")
     assert isinstance(config, ExtractorConfig)  # noqa: S101
-    extractor = config.build(grid, device)
-    with torch.no_grad():
-        # A start is only roughly a distance.
-        seeds = discover(function, grid, coarse_level=0, lipschitz=2.0, device=device)
-        surface = extractor.extract(function, seeds).surface
-        vertices = scene.box.to_world(surface.vertices).numpy().astype(np.float64)
+    surface = start_surface(function, config.build(grid, device), device)
+    vertices = scene.box.to_world(surface.vertices).numpy().astype(np.float64)
     return Mesh(vertices=vertices, faces=surface.faces.numpy())

@@ -12,7 +12,7 @@ from sculpt_framework.engine.parallel import Processes
 from sculpt_framework.engine.trainer import BiLevelTrainer, Objectives, Weighted
 from sculpt_framework.errors import ConfigError, DeviceError
 from sculpt_framework.extractors import Extractor, RefiningExtractor
-from sculpt_framework.geometry.band import coarsened, discover
+from sculpt_framework.geometry.band import cells_at_level, coarsened, discover
 from sculpt_framework.geometry.grid import Grid, RefineBox, grid_over_box
 from sculpt_framework.geometry.octree_policy import LevelMap, level_map, wanted_levels
 from sculpt_framework.losses import GeometryLoss, ImageLoss
@@ -145,6 +145,18 @@ def refine_in(parts: Parts, boxes: Sequence[RefineBox], finest: int) -> Parts:
     parts.trainer.field.set_detail(refined.detail)
     fit_seeds(refined)
     return refined
+
+
+def set_level(parts: Parts, level: int) -> None:
+    """Have extractor and field work on another level of the grid."""
+    trainer, grid, old = parts.trainer, parts.grid.at_level(level), parts.trainer.extractor.grid
+    if grid == old:
+        return
+    trainer.extractor.set_grid(grid)
+    trainer.field.set_detail(parts.detail)
+    if trainer.seeds is not None:
+        # The surface's cells on the old level hold those on the new one, and the extraction follows it from there.
+        trainer.seeds = cells_at_level(trainer.seeds, grid.level - old.level)
 
 
 def find_seeds(parts: Parts) -> None:

@@ -10,11 +10,13 @@ import torch
 from sculpt_framework.config import MethodConfig
 from sculpt_framework.engine.gaussian_scene import GaussianScene
 from sculpt_framework.engine.images import TrainingImage, prepare_image
+from sculpt_framework.engine.initial_fit import start_surface
 from sculpt_framework.engine.reconstruction import object_gaussians, world_mesh
 from sculpt_framework.evaluation.geometry import MeasuredMesh
 from sculpt_framework.evaluation.images import mask_iou, psnr, ssim
 from sculpt_framework.evaluation.mesh import Mesh, load_mesh
 from sculpt_framework.evaluation.mesh_report import mesh_measures, result_measures
+from sculpt_framework.extractors import EmptySurfaceError, Extractor, SdfFunction
 from sculpt_framework.memory import peak_bytes
 from sculpt_framework.rasterizers import Rasterizer
 from sculpt_framework.types import Gaussians, Scene, Surface, View
@@ -45,6 +47,27 @@ class Yardstick:
         Raises FloatingPointError where its rendering is not finite.
         """
         return self._splats(scene, surface) | mesh_measures(self._mesh(surface), self.reference, _CURVE_SAMPLES)
+
+    def measure_start(self, target: SdfFunction, extractor: Extractor, device: torch.device) -> dict[str, Any] | None:
+        """A row of the curve about something to start from, which has no Gaussians yet.
+
+        None without a reference, as nothing is known then, and where there is no surface to measure.
+        """
+        if self.reference is None:
+            return None
+        try:
+            surface = start_surface(target, extractor, device)
+        except EmptySurfaceError:
+            return None
+        row: dict[str, Any] = {"inner": 0, "faces": surface.faces.shape[0], "gaussians": 0}
+        row |= {
+            "grid": max(extractor.grid.shape),
+            "rss_mb": resident_megabytes(),
+            "psnr": None,
+            "ssim": None,
+            "iou": None,
+        }
+        return row | mesh_measures(self._mesh(surface), self.reference, _CURVE_SAMPLES)
 
     def measure_result(self, scene: GaussianScene, surface: Surface) -> dict[str, Any]:
         """The same of what the run leaves, with all that is measured of a result and as many samples as it deserves."""

@@ -63,6 +63,11 @@ class Milestones:
     def add(self, progress: float, row: dict[str, Any]) -> None:
         self.rows.append({**row, "progress": progress})
 
+    @property
+    def staged(self) -> bool:
+        """Whether any row is of a stage, not of the start."""
+        return any(row["reason"] != "start" for row in self.rows)
+
     def latest(self, column: str) -> Any:
         return self.rows[-1][column] if self.rows else None
 

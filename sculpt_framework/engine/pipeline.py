@@ -27,8 +27,7 @@ from sculpt_framework.engine.trainer import BiLevelTrainer
 from sculpt_framework.engine.view_pictures import Album
 from sculpt_framework.errors import CheckpointError, TrainingFailed
 from sculpt_framework.evaluation.pictures import Picture
-from sculpt_framework.extractors import EmptySurfaceError
-from sculpt_framework.geometry.band import cells_at_level
+from sculpt_framework.extractors import EmptySurfaceError, SdfFunction
 from sculpt_framework.geometry.grid import RefineBox
 from sculpt_framework.types import Scene, Surface
 
@@ -133,8 +132,9 @@ class Pipeline:
 
     def _start(self) -> None:
         """Fit the field to the initial surface and find the cells it passes through."""
-        grid, box, device, detail = self._parts.grid, self.scene.box, self._parts.device, self._parts.detail
-        error = fit_to_views(self._trainer.field, self.config, self._views, box, grid, detail, self._generator, device)
+        box, device, detail = self.scene.box, self._parts.device, self._parts.detail
+        field, random, seen = self._trainer.field, self._generator, self._measure_start
+        error = fit_to_views(field, self.config, self._views, box, detail, random, device, seen)
         self._trainer.equalize()
         self._emit("decision", announcements.initial_surface(self.config, error))
 
@@ -152,7 +152,7 @@ class Pipeline:
         stage = self.config.trainer.stages[index]
         if index == self._stage_index:
             return stage
-        self._set_level(stage.level)
+        assembly.set_level(self._parts, stage.level)
         if self._trainer.seeds is None:
             assembly.find_seeds(self._parts)
         self._load_images(stage)
@@ -172,16 +172,6 @@ class Pipeline:
         self._images = [prepare_image(view, box, stage.image_scale, device) for view in self._views]
         assembly.spare_cells(self._trainer.extractor, self.config.trainer, self._images)
         self._trainer.scene.blur = math.sqrt(self.config.trainer.low_pass_px2) * pixel_footprint(self._images)
-
-    def _set_level(self, level: int) -> None:
-        trainer, grid, old = self._trainer, self._parts.grid.at_level(level), self._trainer.extractor.grid
-        if grid == old:
-            return
-        trainer.extractor.set_grid(grid)
-        trainer.field.set_detail(self._parts.detail)
-        if trainer.seeds is not None:
-            # The surface's cells on the old level hold those on the new one, and the extraction follows it from there.
-            trainer.seeds = cells_at_level(trainer.seeds, grid.level - old.level)
 
     def _step(self, stage: StageConfig, progress: float) -> None:
         rate = self._rate(progress)
@@ -295,23 +285,32 @@ class Pipeline:
             self._milestones.cut_short(factor)
             self._emit("decision", announcements.cut_short(gain, factor))
 
+    def _measure_start(self, target: SdfFunction) -> None:
+        """A row about what the initializer has made so far, if that is a surface."""
+        extractor = self.config.extractor.build(self._trainer.extractor.grid, self._parts.device)
+        self._add_row("start", 0.0, lambda: self._yardstick.measure_start(target, extractor, self._parts.device))
+
     def _evaluate(self, reason: str, progress: float, surface: Surface) -> None:
-        """Measure a surface (object frame) that the Gaussians' rows are on; the clock stands still meanwhile."""
+        """Measure a surface (object frame) that the Gaussians' rows are on."""
+        self._add_row(reason, progress, lambda: self._measured(surface))
+        self._keep_best(reason, self._milestones.latest("psnr"))
+
+    def _add_row(self, reason: str, progress: float, measure: Callable[[], dict[str, Any] | None]) -> None:
+        """A row of the curve, if there is something to tell; the clock stands still meanwhile."""
         began = self.clock.now
         with self.clock.pause(), torch.no_grad():
-            measured = self._trainer.processes.first(lambda: self._measured(surface))
-        row = {"reason": reason, "progress": progress, **measured}
-        self._milestones.add(progress, row)
+            measured = self._trainer.processes.first(measure)
         seconds = self.clock.now - began
         self._evaluation_seconds += seconds
-        self._emit("evaluation", {**row, "seconds": seconds})
-        self._keep_best(reason, row["psnr"])
+        if measured is not None:
+            row = {"reason": reason, "progress": progress, "t_cpu_s": self.clock.cpu_seconds, **measured}
+            self._milestones.add(progress, row)
+            self._emit("evaluation", {**row, "seconds": seconds})
 
     def _measured(self, surface: Surface) -> dict[str, Any]:
         """On held-out views and against the reference; of the result, all there is to measure."""
         measure = self._yardstick.measure if self._result is None else self._yardstick.measure_result
-        row = measure(self._trainer.scene, surface)
-        return announcements.sizes(self._trainer, surface) | {"t_cpu_s": self.clock.cpu_seconds} | row
+        return announcements.sizes(self._trainer, surface) | measure(self._trainer.scene, surface)
 
     def _keep_best(self, reason: str, score: float | None) -> None:
         """Keep the state if its held-out views are the best of the last stage so far.
@@ -395,7 +394,7 @@ class Pipeline:
         self.outer = progress.outer
         self._rate_scale, self._recoveries = progress.rate_scale, progress.recoveries
         self._milestones = Milestones(progress.milestones, self.config.max_time)
-        if not progress.milestones:  # Stopped before the first step, which measures the start.
+        if not self._milestones.staged:  # Stopped before the first step, which measures the first stage.
             self._milestones.enter_stage()
         self._schedule.begin(progress.progress)
         latest, best = split_best(state)

@@ -11,11 +11,12 @@ from torch import Tensor
 
 from sculpt_framework.engine.gaussian_scene import GaussianScene
 from sculpt_framework.engine.images import pixel_footprint, prepare_image
-from sculpt_framework.engine.initial_fit import fit_field, interpolate, tabulate
+from sculpt_framework.engine.initial_fit import fit_field
 from sculpt_framework.engine.reconstruction import object_gaussians, reconstruct
 from sculpt_framework.geometry.band import discover
 from sculpt_framework.geometry.grid import grid_over_box
 from sculpt_framework.geometry.principal_axes import principal_axes
+from sculpt_framework.shape_from_images.volume import sample
 from sculpt_framework.testing import sphere_sdf, union_sdf
 from sculpt_framework.types import Box, Camera, Scene, Surface, View
 
@@ -99,26 +100,14 @@ def test_pixel_footprint_is_a_length_at_the_object(scene: Scene):
 # -- the initial fit --------------------------------------------------------------------------------------------------
 
 
-def test_tables_interpolate_what_is_linear():
-    grid = grid_over_box(torch.tensor([1.0, 0.8, 0.6]), cells=9)
-
-    def plane(points: Tensor) -> Tensor:
-        return points @ torch.tensor([0.3, -0.7, 0.5]) + 0.1
-
-    _, values = tabulate(plane, grid, CPU)
-    points = 1.8 * torch.rand(500, 3) - 0.9
-    points = points * torch.tensor([1.0, 0.8, 0.6])
-    torch.testing.assert_close(interpolate(values, grid, points), plane(points), rtol=1e-4, atol=1e-5)
-
-
 @pytest.mark.parametrize("name", FIELDS)
 def test_every_field_learns_another_start(name: str):
     torch.manual_seed(0)
-    target, grid = sphere_sdf(0.4, (0.15, -0.1, 0.1)), grid_over_box(torch.ones(3), cells=24)
+    volume = sample(sphere_sdf(0.4, (0.15, -0.1, 0.1)), (1.0, 1.0, 1.0), 24, CPU)
     field = FIELDS[name].build(CPU)
-    field.set_detail(grid.cell)
+    field.set_detail(volume.cell)
     generator = torch.Generator().manual_seed(0)
-    error = fit_field(field, target, grid, steps=120, generator=generator, device=CPU)
+    error = fit_field(field, volume, steps=120, generator=generator, device=CPU)
     assert error < 0.015
     surface = torch.nn.functional.normalize(torch.randn(2000, 3), dim=1) * 0.4 + torch.tensor([0.15, -0.1, 0.1])
     assert float(field(surface).sdf.detach().abs().mean()) < 0.02

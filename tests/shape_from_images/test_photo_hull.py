@@ -53,8 +53,7 @@ def error_in_dent(values: np.ndarray, points: np.ndarray) -> float:
 
 
 def test_photo_hull_digs_what_no_silhouette_shows(views):
-    target = PhotoHullConfig(cells=64, pixels=48, depths=48).build().target(views, HALF_SIDES, CPU)
-    hull = visual_hull(views, 100, CPU)
+    hull, target = PhotoHullConfig(cells=64, pixels=48, depths=48).build().targets(views, HALF_SIDES, CPU)
     dense = sample(hull, (1.0, 1.0, 1.0), 64, CPU)
     points = torch.from_numpy(dense.points)
     before = error_in_dent(dense.values.reshape(-1), dense.points)
@@ -85,7 +84,7 @@ def test_depths_are_right(views):
 
 def test_without_texture_the_hull_stays(views):
     grey = [View(name=v.name, camera=v.camera, rgb=torch.full_like(v.rgb, 0.5), alpha=v.alpha) for v in views]
-    target = PhotoHullConfig(cells=48, pixels=48, depths=32).build().target(grey, HALF_SIDES, CPU)
+    *_, target = PhotoHullConfig(cells=48, pixels=48, depths=32).build().targets(grey, HALF_SIDES, CPU)
     dense = sample(visual_hull(views, 100, CPU), (1.0, 1.0, 1.0), 48, CPU)
     carved = (target(torch.from_numpy(dense.points)).numpy() > 0.02) & (dense.values.reshape(-1) < -0.02)
     assert carved.mean() < 0.01
@@ -95,7 +94,7 @@ def test_without_texture_the_hull_stays(views):
 def test_few_views_give_the_hull(views, count, caplog):
     """So few have no neighbours to be compared with."""
     caplog.set_level("INFO", "sculpt")
-    target = PhotoHullConfig(cells=32, pixels=32, depths=16).build().target(views[:count], HALF_SIDES, CPU)
+    (target,) = PhotoHullConfig(cells=32, pixels=32, depths=16).build().targets(views[:count], HALF_SIDES, CPU)
     hull = visual_hull(views[:count], 100, CPU)
     points = torch.from_numpy(sample(hull, (1.0, 1.0, 1.0), 32, CPU).points)
     assert target(points).numpy() == pytest.approx(hull(points).numpy(), abs=1e-6)
@@ -105,7 +104,7 @@ def test_few_views_give_the_hull(views, count, caplog):
 def test_no_masks_are_refused(views):
     bare = [View(name=v.name, camera=v.camera, rgb=v.rgb, alpha=None) for v in views[:3]]
     with pytest.raises(DataError, match="--initializer sphere"):
-        PhotoHullConfig().build().target(bare, HALF_SIDES, CPU)
+        next(PhotoHullConfig().build().targets(bare, HALF_SIDES, CPU))
 
 
 def test_images_of_different_sizes_are_packed(views):

@@ -8,7 +8,7 @@ from sculpt_framework.fields import Field, ParameterGroup
 from sculpt_framework.types import FieldSample
 from sculpt_plugins.fields.hash_grid.config import HashGridFieldConfig
 
-_FIT_RATE = 0.02
+_FIT_RATE = 0.006
 """Of the coarsest level, in object units per step: the initial surface may be half a unit away."""
 
 

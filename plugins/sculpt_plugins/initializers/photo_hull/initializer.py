@@ -1,7 +1,7 @@
 """Carve the visual hull by plane-sweep stereo."""
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import torch
 from jaxtyping import Float
@@ -29,9 +29,12 @@ class PhotoHull(Initializer):
     def silhouette_first(self) -> bool:
         return False
 
-    def target(self, views: Sequence[View], half_sides: Float[Tensor, " 3"], device: torch.device) -> SdfFunction:
+    def targets(
+        self, views: Sequence[View], half_sides: Float[Tensor, " 3"], device: torch.device
+    ) -> Iterator[SdfFunction]:
         config = self._config
         hull = visual_hull(views, config.max_views, device)
+        yield hull
         x, y, z = (float(side) for side in half_sides)
         solid = sample(hull, (x, y, z), config.cells, device)
         masked = [view for view in views if view.alpha is not None]
@@ -49,7 +52,7 @@ class PhotoHull(Initializer):
         if maps.known == 0.0:
             why = "no views stand close enough to each other to compare their colours: start from the visual hull"
             logging.getLogger("sculpt").info(why)
-            return hull
+            return
         for level in range(config.refinements):
             finer = pack_views(chosen, float(2**level * config.pixels))
             packed, maps = finer, refine_depths(finer, packed, maps, options)
@@ -58,4 +61,4 @@ class PhotoHull(Initializer):
         def photo_hull(points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
             return torch.maximum(carved(points), hull(points))
 
-        return photo_hull
+        yield photo_hull

@@ -1,6 +1,6 @@
 """The start that knows nothing."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import torch
 from jaxtyping import Float
@@ -23,11 +23,13 @@ class Sphere(Initializer):
     def silhouette_first(self) -> bool:
         return True
 
-    def target(self, views: Sequence[View], half_sides: Float[Tensor, " 3"], device: torch.device) -> SdfFunction:
+    def targets(
+        self, views: Sequence[View], half_sides: Float[Tensor, " 3"], device: torch.device
+    ) -> Iterator[SdfFunction]:
         sides = half_sides.to(device=device, dtype=torch.float32)
         shortest = float(sides.min())
 
         def ellipsoid(points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
             return ((points / sides.to(points)).norm(dim=1) - self._fill) * shortest
 
-        return ellipsoid
+        yield ellipsoid

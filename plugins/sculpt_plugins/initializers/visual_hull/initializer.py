@@ -1,6 +1,6 @@
 """Start from what all silhouettes allow."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import torch
 from jaxtyping import Float
@@ -20,5 +20,7 @@ class VisualHull(Initializer):
     def silhouette_first(self) -> bool:
         return False
 
-    def target(self, views: Sequence[View], half_sides: Float[Tensor, " 3"], device: torch.device) -> SdfFunction:
-        return visual_hull(views, self._max_views, device)
+    def targets(
+        self, views: Sequence[View], half_sides: Float[Tensor, " 3"], device: torch.device
+    ) -> Iterator[SdfFunction]:
+        yield visual_hull(views, self._max_views, device)

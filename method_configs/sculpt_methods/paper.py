@@ -39,6 +39,7 @@ def gaussian_sculpting_paper() -> MethodConfig:
             split="center",  # 3.1 "a split weight gamma ... controlling adaptive triangulation"
             learn_weights=True,  # 3.1 alpha (8 per cell), beta (12 per cell), gamma (1 per cell)
             learn_deformation=True,  # 3.1 delta (3 per grid vertex)
+            weight_rate=1e-2,  # not given; ours
         ),
         binder=FaceBarycentricConfig(
             gaussians_per_face=3,  # 3.1 "K Gaussians on each face"; the number is ours

@@ -44,7 +44,7 @@ def gaussian_sculpting() -> MethodConfig:
             outer_steps=160,
             level_gain_db=0.1,
             base_cells=32,
-            warm_up_steps=40,
+            warm_up_steps=120,
             ramp_steps=15,
             # One stage: what the initializer knows is finer than coarser cells could hold.
             stages=(StageConfig(share=1.0, level=2, image_scale=1.0, inner_steps=4, outer_views=4),),

@@ -23,7 +23,7 @@ class FlexiCubesConfig(ExtractorConfig):
     """Learn alpha and beta (where a dual vertex lies in its cell) and, with split center, gamma."""
     learn_deformation: bool = False
     """Learn delta, a shift of every grid corner by less than half a cell."""
-    weight_rate: float = 1e-2
+    weight_rate: float = 3e-2
     """Adam rate of raw alpha, beta and gamma; the factor in use is 1 + 0.99 tanh(raw)."""
     deformation_rate: float = 1e-2
     """Adam rate of raw delta; the shift in use is 0.49 tanh(raw) cells along each axis."""

@@ -2,9 +2,11 @@
 
 import hashlib
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
+import torch
 
 from sculpt_framework.errors import DataError
 from sculpt_framework.types import Scene, View
@@ -37,8 +39,13 @@ def file_digest(path: Path) -> str:
 
 
 def _images(views: Sequence[View]) -> str:
-    lines = (file_digest(view.source) if view.source is not None else _pixels(view) for view in views)
-    return hashlib.sha256("".join(f"{line}\n" for line in lines).encode("ascii")).hexdigest()
+    with ThreadPoolExecutor(max_workers=torch.get_num_threads()) as pool:
+        lines = pool.map(_digest, views)
+        return hashlib.sha256("".join(f"{line}\n" for line in lines).encode("ascii")).hexdigest()
+
+
+def _digest(view: View) -> str:
+    return _pixels(view) if view.source is None else file_digest(view.source)
 
 
 def _pixels(view: View) -> str:

@@ -31,13 +31,22 @@ class Milestones:
         self._shares = _SHARES if given else (*_SHARES, *_LATE_SHARES)
         self._next_second = 1.0
         self._stage_is_new = False
+        self._spent = self._latest = 0.0
 
     def enter_stage(self) -> None:
         """The next surface is the first of its stage, and a measurement of it owed."""
         self._stage_is_new = True
 
-    def due(self, progress: float, trained: float, spent: float) -> Literal["stage", "share", "time"] | None:
-        """Why a measurement is due now, if one is. ``trained`` and ``spent`` are seconds of training and of evaluation.
+    def charge(self, seconds: float) -> None:
+        """A measurement took so long."""
+        self._spent, self._latest = self._spent + seconds, seconds
+
+    def start_due(self) -> bool:
+        """Whether what an initializer has made is to be measured: the first is, others if they may be had."""
+        return self._given is None or self._affordable()
+
+    def due(self, progress: float, trained: float) -> Literal["stage", "share", "time"] | None:
+        """Why a measurement is due now, if one is. ``trained`` is seconds of training.
 
         The first surface of a stage comes first, then shares: whether one is measured must not depend on how fast the
         machine is.
@@ -52,13 +61,13 @@ class Milestones:
             return None
         while self._next_second <= trained:
             self._next_second += min((math.sqrt(2) - 1) * self._next_second, self._farthest)
-        return "time" if self._affordable(trained, spent) else None
+        return "time" if self._affordable(trained) else None
 
-    def _affordable(self, trained: float, spent: float) -> bool:
+    def _affordable(self, trained: float = 0.0) -> bool:
         if self._given is None:
-            return spent <= _COST_AT_MOST * trained
-        mean = spent / max(1, len(self.rows))
-        return spent + (1 + _COST_OF_END) * mean <= _COST_OF_GIVEN * self._given
+            return self._spent <= _COST_AT_MOST * trained
+        # What the latest took, not all on average: what there is to start from takes longer, as it is extracted for it.
+        return self._spent + (1 + _COST_OF_END) * self._latest <= _COST_OF_GIVEN * self._given
 
     def add(self, progress: float, row: dict[str, Any]) -> None:
         self.rows.append({**row, "progress": progress})

@@ -86,7 +86,6 @@ class Pipeline:
         self._rate_scale = 1.0
         self._recoveries = 0
         self._pace = Pace()
-        self._evaluation_seconds = 0.0
         self._last_checkpoint = time.monotonic()
 
     # -- the run -------------------------------------------------------------------------------------------------
@@ -176,7 +175,9 @@ class Pipeline:
     def _step(self, stage: StageConfig, progress: float) -> None:
         rate = self._rate(progress)
         settled = self._trainer.settle(self._images, stage, rate)
-        # Here a surface has colours of its own, and measuring it costs no extraction besides the step's.
+        # Here a surface has colours of its own, and measuring it costs no extraction besides the step's. By the clock it
+        # is later than it was: warming the colours up took a share of the run.
+        progress = self._trainer.processes.first(lambda: self._schedule.progress(self.outer))
         measured = self._measure_if_due(settled.surface.detach(), progress)
         report = self._trainer.update(settled, self._images, stage, rate)
         self._last_good = measured or self._last_good  # A step has gone well from it.
@@ -265,8 +266,8 @@ class Pipeline:
 
     def _measure_if_due(self, surface: Surface, progress: float) -> dict[str, Tensor] | None:
         """The state that was measured, if one was."""
-        now, spent = self.clock.train_seconds, self._evaluation_seconds
-        if (reason := self._trainer.processes.first(lambda: self._milestones.due(progress, now, spent))) is None:
+        first, clock = self._trainer.processes.first, self.clock
+        if (reason := first(lambda: self._milestones.due(progress, clock.train_seconds))) is None:
             return None
         self._evaluate(reason, progress, surface)
         if self.outer == 0:
@@ -287,6 +288,8 @@ class Pipeline:
 
     def _measure_start(self, target: SdfFunction) -> None:
         """A row about what the initializer has made so far, if that is a surface."""
+        if not self._milestones.start_due():
+            return
         extractor = self.config.extractor.build(self._trainer.extractor.grid, self._parts.device)
         self._add_row("start", 0.0, lambda: self._yardstick.measure_start(target, extractor, self._parts.device))
 
@@ -301,7 +304,7 @@ class Pipeline:
         with self.clock.pause(), torch.no_grad():
             measured = self._trainer.processes.first(measure)
         seconds = self.clock.now - began
-        self._evaluation_seconds += seconds
+        self._milestones.charge(seconds)
         if measured is not None:
             row = {"reason": reason, "progress": progress, "t_cpu_s": self.clock.cpu_seconds, **measured}
             self._milestones.add(progress, row)

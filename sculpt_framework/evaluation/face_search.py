@@ -103,7 +103,8 @@ def _face_grid(mesh: Mesh) -> _FaceGrid | None:
     extent = high - low
     side = max(side, float(np.cbrt(np.prod(np.maximum(extent, side)) / _MOST_CELLS)))
     shape = (extent / side).astype(np.int64) + 1
-    spans = np.ptp(mesh.corners, axis=1)
+    first, second, third = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))
+    spans = np.maximum(np.maximum(first, second), third) - np.minimum(np.minimum(first, second), third)
     if np.prod(spans / side + 1.0, axis=1).mean() > _CELLS_PER_FACE:
         return None
     vertices, faces = np.ascontiguousarray(mesh.vertices), np.ascontiguousarray(mesh.faces)

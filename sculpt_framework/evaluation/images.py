@@ -19,8 +19,8 @@ def psnr(image: Image, target: Image) -> float:
 
     Values are clipped to [0, 1], as a display does. Equal images give infinity.
     """
-    difference = torch.as_tensor(image).double().clamp(0, 1) - torch.as_tensor(target).double().clamp(0, 1)
-    mean_squared = float(difference.square().mean())
+    first, second = _clipped(image), _clipped(target)
+    mean_squared = cv2.norm(first, second, cv2.NORM_L2SQR) / first.size
     return math.inf if mean_squared == 0 else -10 * math.log10(mean_squared)
 
 
@@ -32,11 +32,10 @@ def ssim(image: Image, target: Image) -> float:
     """
     first, second = _clipped(image), _clipped(target)
     mean_1, mean_2 = _blur(first), _blur(second)
-    variance_1 = _blur(first * first) - mean_1 * mean_1
-    variance_2 = _blur(second * second) - mean_2 * mean_2
-    covariance = _blur(first * second) - mean_1 * mean_2
-    similar = (2 * mean_1 * mean_2 + _C1) * (2 * covariance + _C2)
-    apart = (mean_1 * mean_1 + mean_2 * mean_2 + _C1) * (variance_1 + variance_2 + _C2)
+    product, squares = mean_1 * mean_2, mean_1 * mean_1 + mean_2 * mean_2
+    covariance, variances = _blur(first * second) - product, _blur(first * first + second * second) - squares
+    similar = (2 * product + _C1) * (2 * covariance + _C2)
+    apart = (squares + _C1) * (variances + _C2)
     return float(np.mean(similar / apart, dtype=np.float64))
 
 

@@ -126,15 +126,14 @@ def _sees(view: View, box: Box) -> bool:
 
 def _object(view: View) -> tuple[Grey, Mask]:
     """Brightness and mask of the part of the image around the object; all of it where there is no mask."""
-    grey = view.rgb.mean(dim=2).numpy().astype(np.float32)
     if view.alpha is None:
-        return grey, np.ones(grey.shape, bool)
-    mask = view.alpha.numpy() > 0.5
+        mask = np.ones(view.rgb.shape[:2], bool)
+    else:
+        mask = view.alpha.numpy() > 0.5
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    if len(rows) == 0:
-        return grey, mask
-    window = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
-    return np.ascontiguousarray(grey[window]), np.ascontiguousarray(mask[window])
+    # An image without the object is looked at whole.
+    window = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)) if len(rows) else ()
+    return view.rgb[window].mean(dim=2).numpy().astype(np.float32), np.ascontiguousarray(mask[window])
 
 
 def _blur(image: Grey, sigma: float) -> Grey:

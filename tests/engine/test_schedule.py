@@ -104,9 +104,10 @@ def test_stages_need_shares():
 def test_shares_are_measured_however_fast_the_machine_is():
     for seconds_per_step in (1e-4, 0.5, 30.0):
         milestones = Milestones()
+        milestones.charge(1e9 if seconds_per_step < 1 else 0.0)
         measured = []
         for step in range(1, 101):
-            reason = milestones.due(step / 100, step * seconds_per_step, spent=1e9 if seconds_per_step < 1 else 0.0)
+            reason = milestones.due(step / 100, step * seconds_per_step)
             if reason is not None:
                 milestones.add(step / 100, {"chamfer_ps": None, "psnr": None, "iou": None})
             if reason == "share":
@@ -116,18 +117,18 @@ def test_shares_are_measured_however_fast_the_machine_is():
 
 def test_a_run_of_known_length_is_measured_twelve_times():
     milestones = Milestones(given=120.0)
-    times = [second for second in range(1, 121) if milestones.due(0.0, float(second), 0.0) == "time"]
+    times = [second for second in range(1, 121) if milestones.due(0.0, float(second)) == "time"]
     assert times[:5] == [1, 2, 3, 4, 6]
     assert {later - before for before, later in itertools.pairwise(times[9:])} == {10}
     free = Milestones()
-    times = [second for second in range(1, 1000) if free.due(0.0, float(second), 0.0) == "time"]
+    times = [second for second in range(1, 1000) if free.due(0.0, float(second)) == "time"]
     assert times[-1] > 1.4 * times[-2]
 
 
 def test_a_run_of_known_length_owes_no_late_shares():
     milestones, measured = Milestones(given=100.0), []
     for step in range(1, 101):
-        if milestones.due(step / 100, 0.0, 0.0) == "share":
+        if milestones.due(step / 100, 0.0) == "share":
             measured.append(step)
             milestones.add(step / 100, {})
     assert measured == [25, 50]
@@ -135,18 +136,20 @@ def test_a_run_of_known_length_owes_no_late_shares():
 
 def test_the_first_surface_of_a_stage_is_measured_once():
     milestones = Milestones()
-    assert milestones.due(0.0, 0.0, 0.0) is None
+    milestones.charge(1e9)
+    assert milestones.due(0.0, 0.0) is None
     milestones.enter_stage()
-    assert [milestones.due(0.3, 2.0, 1e9) for _ in range(2)] == ["stage", "share"]
+    assert [milestones.due(0.3, 2.0) for _ in range(2)] == ["stage", "share"]
 
 
 def test_times_are_measured_where_that_is_cheap():
     milestones = Milestones()
-    assert milestones.due(0.01, 0.5, 0.0) is None
-    assert milestones.due(0.01, 1.1, 0.0) == "time"
-    assert milestones.due(0.01, 1.4, 0.0) is None
-    assert milestones.due(0.01, 2.1, 1.0) is None
-    assert milestones.due(0.01, 9.0, 0.1) == "time"
+    assert milestones.due(0.01, 0.5) is None
+    assert milestones.due(0.01, 1.1) == "time"
+    assert milestones.due(0.01, 1.4) is None
+    milestones.charge(0.3)
+    assert milestones.due(0.01, 2.1) is None
+    assert milestones.due(0.01, 9.0) == "time"
 
 
 def test_a_run_of_known_length_keeps_time_for_its_end():
@@ -154,11 +157,23 @@ def test_a_run_of_known_length_keeps_time_for_its_end():
     milestones = Milestones(given=120.0)
     spent = 0.0
     for second in range(1, 120):
-        if milestones.due(0.0, float(second), spent) is not None:
+        if milestones.due(0.0, float(second)) is not None:
             milestones.add(0.0, {})
+            milestones.charge(0.88)
             spent += 0.88
     assert len(milestones.rows) == 8
     assert spent + 4 * 0.88 <= 0.09 * 120
+
+
+def test_a_start_that_is_dear_to_measure_is_measured_once():
+    """A row of it takes several of the others, each of which is worth more."""
+    cheap, dear, free = Milestones(given=120.0), Milestones(given=120.0), Milestones()
+    for milestones, seconds in ((cheap, 1.2), (dear, 3.0), (free, 3.0)):
+        assert milestones.start_due()
+        milestones.charge(seconds)
+    assert [milestones.start_due() for milestones in (cheap, dear, free)] == [True, False, True]
+    dear.charge(0.8)
+    assert dear.due(0.0, 1.0) == "time"
 
 
 def test_milestones_are_the_first_rows_at_a_share_and_the_last_of_all():
@@ -206,8 +221,8 @@ def test_what_is_cut_short_is_further_along():
     milestones.cut_short(2.0)
     assert [row["progress"] for row in milestones.rows] == [0.0, 0.2, 0.8]
     # What was to be measured on the way is behind it now.
-    assert milestones.due(0.85, 0.0, 0.0) is None
-    assert milestones.due(0.9, 0.0, 0.0) == "share"
+    assert milestones.due(0.85, 0.0) is None
+    assert milestones.due(0.9, 0.0) == "share"
 
 
 def test_the_clock_leaves_pauses_out(monkeypatch: pytest.MonkeyPatch):

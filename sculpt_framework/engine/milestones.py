@@ -1,6 +1,7 @@
 """When a run measures itself, and what it found."""
 
 import math
+import statistics
 from collections.abc import Sequence
 from typing import Any, Literal
 
@@ -12,8 +13,10 @@ _COST_AT_MOST = 0.06
 """Of training time so far, for the measurements in between."""
 _COST_OF_GIVEN = 0.09
 """Of the time a run is given, where that is known, for all measurements together."""
-_COST_OF_END = 4
+_COST_OF_END = 5
 """Times what one in between costs: the last state, and the result with all that is measured of one."""
+_OWED = 3
+"""Measurements in between that are owed: of the first surface of a stage, and at two shares."""
 _ROWS_TO_TELL = 4
 """Measurements of a stage before its curve can be called level."""
 _FARTHEST = 1 / 12
@@ -31,7 +34,7 @@ class Milestones:
         self._shares = _SHARES if given else (*_SHARES, *_LATE_SHARES)
         self._next_second = 1.0
         self._stage_is_new = False
-        self._spent = self._latest = 0.0
+        self._costs: list[float] = []
 
     def enter_stage(self) -> None:
         """The next surface is the first of its stage, and a measurement of it owed."""
@@ -39,11 +42,11 @@ class Milestones:
 
     def charge(self, seconds: float) -> None:
         """A measurement took so long."""
-        self._spent, self._latest = self._spent + seconds, seconds
+        self._costs.append(seconds)
 
     def start_due(self) -> bool:
         """Whether what an initializer has made is to be measured: the first is, others if they may be had."""
-        return self._given is None or self._affordable()
+        return self._given is None or self._affordable(0.0, besides=_OWED)
 
     def due(self, progress: float, trained: float) -> Literal["stage", "share", "time"] | None:
         """Why a measurement is due now, if one is. ``trained`` is seconds of training.
@@ -63,11 +66,13 @@ class Milestones:
             self._next_second += min((math.sqrt(2) - 1) * self._next_second, self._farthest)
         return "time" if self._affordable(trained) else None
 
-    def _affordable(self, trained: float = 0.0) -> bool:
+    def _affordable(self, trained: float, besides: int = 0) -> bool:
+        spent = sum(self._costs)
         if self._given is None:
-            return self._spent <= _COST_AT_MOST * trained
-        # What the latest took, not all on average: what there is to start from takes longer, as it is extracted for it.
-        return self._spent + (1 + _COST_OF_END) * self._latest <= _COST_OF_GIVEN * self._given
+            return spent <= _COST_AT_MOST * trained
+        # Not the mean: what there is to start from takes longer, as it is extracted for it, and kernels are loaded.
+        usual = statistics.median(self._costs) if self._costs else 0.0
+        return spent + (1 + besides + _COST_OF_END) * usual <= _COST_OF_GIVEN * self._given
 
     def add(self, progress: float, row: dict[str, Any]) -> None:
         self.rows.append({**row, "progress": progress})

@@ -175,8 +175,8 @@ class Pipeline:
     def _step(self, stage: StageConfig, progress: float) -> None:
         rate = self._rate(progress)
         settled = self._trainer.settle(self._images, stage, rate)
-        # Here a surface has colours of its own, and measuring it costs no extraction besides the step's. By the clock it
-        # is later than it was: warming the colours up took a share of the run.
+        # Here a surface has colours of its own, and measuring it costs no extraction besides the step's. By the clock
+        # it is later than it was: warming the colours up took a share of the run.
         progress = self._trainer.processes.first(lambda: self._schedule.progress(self.outer))
         measured = self._measure_if_due(settled.surface.detach(), progress)
         report = self._trainer.update(settled, self._images, stage, rate)

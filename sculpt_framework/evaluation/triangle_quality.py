@@ -75,20 +75,20 @@ class TriangleQuality:
 
 def triangle_shapes(mesh: Mesh) -> TriangleShapes:
     """Shape measures of every face, accurate for needles too: angles come from atan2, not from a cosine near 1."""
-    corners = mesh.corners
-    sides = np.roll(corners, -1, axis=1) - corners
-    lengths = np.linalg.norm(sides, axis=2)
-    double_area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
-    incoming = -np.roll(sides, 1, axis=1)
-    angles = np.degrees(np.arctan2(double_area[:, None], np.sum(sides * incoming, axis=2)))
+    first, second, third = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))
+    sides = (second - first, third - second, first - third)
+    lengths = np.sqrt(np.stack([np.einsum("fx,fx->f", side, side) for side in sides]))
+    double_area = 2 * mesh.areas
+    scaled_cosines = np.stack([-np.einsum("fx,fx->f", sides[corner], sides[corner - 1]) for corner in range(3)])
+    angles = np.degrees(np.arctan2(double_area, scaled_cosines))
     flat = double_area == 0
     safe_area = np.where(flat, 1, double_area)
-    perimeter, longest = lengths.sum(1), lengths.max(1)
+    perimeter, longest = lengths.sum(0), lengths.max(0)
     inradius = safe_area / np.where(flat, 1, perimeter)
-    circumradius = lengths.prod(1) / (2 * safe_area)
+    circumradius = lengths.prod(0) / (2 * safe_area)
     return TriangleShapes(
-        minimum_angle=np.where(flat, 0.0, angles.min(1)),
-        maximum_angle=np.where(flat, 180.0, angles.max(1)),
+        minimum_angle=np.where(flat, 0.0, angles.min(0)),
+        maximum_angle=np.where(flat, 180.0, angles.max(0)),
         radius_ratio=np.where(flat, np.inf, circumradius / (2 * inradius)),
         aspect_ratio=np.where(flat, np.inf, longest / (2 * np.sqrt(3) * inradius)),
     )

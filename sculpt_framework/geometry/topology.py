@@ -27,7 +27,8 @@ def directed_edges(faces: Faces) -> Int64[np.ndarray, "e 2"]:
 
 def edge_names(edges: Int64[np.ndarray, "e 2"]) -> Int64[np.ndarray, " e"]:
     """One integer per edge, whatever its direction."""
-    return (edges.min(axis=1) << 32) | edges.max(axis=1)
+    start, end = edges.T  # Many times as fast as reductions along so short an axis.
+    return (np.minimum(start, end) << 32) | np.maximum(start, end)
 
 
 def edge_ends(names: Int64[np.ndarray, " e"]) -> Int64[np.ndarray, "e 2"]:

@@ -1,4 +1,4 @@
-"""What many large photographs cost: the peak of memory, and the seconds from the command to the first step.
+"""What many large photographs cost: the peak of memory, and the seconds from the command to the first steps.
 
     python docs/measure_photographs.py [--photographs 300] [--width 4000 --height 3000] [--background paper|room]
                                        [--method M] [--steps N] [--folder DIR] [-- OPTIONS OF sculpt-train]
@@ -7,8 +7,9 @@ Photographs of a demo object are made, JPEGs with a sensor's noise and cameras i
 is given and else into a temporary folder; those that are there already are used. Then ``sculpt-train`` is run on them
 for a few steps. Before a sheet of paper the background is keyed out; before a room the object is cut out.
 
-Memory is the resident set of the process at its largest, as the system counts it. Compiled kernels are kept from run to
-run, so the first run on a machine takes longer.
+The first step of the colours comes when the photographs are read and a surface to start from is made, the first of that
+surface when its colours are warmed up. Memory is the resident set of the process at its largest, as the system counts
+it. Compiled kernels are kept from run to run, so the first run on a machine takes longer.
 """
 
 import argparse
@@ -42,8 +43,10 @@ OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 
 @dataclass(frozen=True, kw_only=True)
 class Cost:
-    first_step: float
-    """Seconds from the start of the process."""
+    first_inner: float
+    """Seconds from the start of the process to the first step of the colours."""
+    first_outer: float
+    """The same to the end of the first step of the surface."""
     whole: float
     """Seconds, saving and measuring included."""
     peak_bytes: int
@@ -68,8 +71,9 @@ def main() -> int:
         cost = run(words, Path(aside) / "run")
     sys.stdout.write(
         f"{options.photographs} photographs of {options.width}x{options.height} before a {options.background}, "
-        f"{size / 2**30:.2f} GiB on disk, {len(os.sched_getaffinity(0))} cores: first step after "
-        f"{cost.first_step:.1f} s, {options.steps} steps and saving {cost.whole:.1f} s, peak memory "
+        f"{size / 2**30:.2f} GiB on disk, {len(os.sched_getaffinity(0))} cores: first step of "
+        f"the colours after {cost.first_inner:.1f} s, of the surface after {cost.first_outer:.1f} s, {options.steps} "
+        f"steps and saving {cost.whole:.1f} s, peak memory "
         f"{cost.peak_bytes / 2**30:.2f} GiB\n"
     )
     return 0
@@ -133,25 +137,17 @@ def run(words: list[str], output: Path) -> Cost:
     """``sculpt-train`` with these words, watched until it ends. Raises RuntimeError where it fails."""
     started = time.monotonic()
     process = subprocess.Popen([sys.executable, "-m", "sculpt_framework.cli.train", *words])
-    first = None
-    while True:
-        ended, status, usage = os.wait4(process.pid, os.WNOHANG)
-        if first is None and _has_stepped(output / "events.jsonl"):
-            first = time.monotonic() - started
-        if ended:
-            break
-        time.sleep(0.1)
-    if os.waitstatus_to_exitcode(status) != 0 or first is None:
+    _, status, usage = os.wait4(process.pid, 0)
+    whole = time.monotonic() - started
+    if os.waitstatus_to_exitcode(status) != 0:
         raise RuntimeError(f"sculpt-train {' '.join(words)} did not get to its end")
     unit = 1 if sys.platform == "darwin" else 1024
-    return Cost(first_step=first, whole=time.monotonic() - started, peak_bytes=usage.ru_maxrss * unit)
-
-
-def _has_stepped(events: Path) -> bool:
-    try:
-        return '"event": "outer_step"' in events.read_text(encoding="utf-8")
-    except OSError:
-        return False
+    # Wall seconds count from the start of the process.
+    events = [json.loads(line) for line in (output / "events.jsonl").read_text(encoding="utf-8").splitlines()]
+    stage, step = (
+        next(event["t_wall"] for event in events if event["event"] == kind) for kind in ("stage", "outer_step")
+    )
+    return Cost(first_inner=stage, first_outer=step, whole=whole, peak_bytes=usage.ru_maxrss * unit)
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ _COST_AT_MOST = 0.06
 """Of training time so far, for the measurements in between."""
 _COST_OF_GIVEN = 0.09
 """Of the time a run is given, where that is known, for all measurements together."""
-_COST_OF_END = 5
+_COST_OF_END = 6
 """Times what one in between costs: the last state, and the result with all that is measured of one."""
 _OWED = 3
 """Measurements in between that are owed: of the first surface of a stage, and at two shares."""

@@ -7,6 +7,8 @@ from numba import njit, prange
 _OPTIONS = {"fastmath": {"nsz", "contract"}, "error_model": "numpy", "cache": True, "nogil": True}
 _FLAT = 1e-12
 """Squared sine of the angle at a corner, below which a triangle is nothing but its sides."""
+_ROUNDING = 1.0 - 1e-9
+"""A triangle that ends at a wall between cells may be listed on its other side."""
 
 
 @njit(inline="always")
@@ -54,6 +56,14 @@ def _cell(coordinate, origin, side, count):
 
 
 @njit(inline="always")
+def _to_cell(coordinate, cell, origin, side):
+    """Squared distance along an axis to the nearest place in a cell."""
+    low = origin + cell * side
+    gap = max(low - coordinate, coordinate - (low + side), 0.0)
+    return gap * gap
+
+
+@njit(inline="always")
 def _cells_of(vertices, faces, face, axis, origin, side, shape):
     """First and last cell along an axis that a triangle's box meets."""
     x = vertices[faces[face, 0], axis]
@@ -84,7 +94,7 @@ def find_nearest(points, vertices, faces, origin, side, shape, starts, entries, 
     """Squared distances, and the nearest triangles; -1 where there is none within so many rings of cells.
 
     Cells are looked at in cubic shells round the point's own, or the one next to it, until none further out can hold
-    anything nearer.
+    anything nearer; in a shell those are passed over that lie further away than the nearest triangle so far.
     """
     for i in prange(points.shape[0]):
         p = points[i, 0], points[i, 1], points[i, 2]
@@ -94,12 +104,20 @@ def find_nearest(points, vertices, faces, origin, side, shape, starts, entries, 
         cz = _cell(p[2], origin[2], side, shape[2])
         for ring in range(rings):
             for x in range(max(cx - ring, 0), min(cx + ring, shape[0] - 1) + 1):
+                to_x = _to_cell(p[0], x, origin[0], side)
+                if to_x * _ROUNDING > best:
+                    continue
                 for y in range(max(cy - ring, 0), min(cy + ring, shape[1] - 1) + 1):
+                    to_column = to_x + _to_cell(p[1], y, origin[1], side)
+                    if to_column * _ROUNDING > best:
+                        continue
                     # Inside the shell only its two ends along z are new.
                     on_side = abs(x - cx) == ring or abs(y - cy) == ring
                     step = 1 if on_side or ring == 0 else 2 * ring
                     for z in range(cz - ring, cz + ring + 1, step):
                         if z < 0 or z >= shape[2]:
+                            continue
+                        if (to_column + _to_cell(p[2], z, origin[2], side)) * _ROUNDING > best:
                             continue
                         cell = (x * shape[1] + y) * shape[2] + z
                         for entry in range(starts[cell], starts[cell + 1]):

@@ -17,7 +17,8 @@ with kernel_cache("face-grid", Path(__file__).with_name("face_grid_kernels.py"))
 _RINGS = 6
 """Shells of cells round a point that are looked at at first."""
 _FEW = 0.02
-"""Share of the points that may be further away for all shells to be looked at, and no tree to be built."""
+"""Points that are further away, per triangle, up to which all shells are looked at and no tree is built: building one
+takes about 2 microseconds a triangle, all shells 100 and more a point."""
 _CELLS_PER_FACE = 16
 """Cells that triangles may lie in on the average: more, and they are not of one size."""
 _MOST_CELLS = 1 << 22
@@ -39,7 +40,7 @@ class FaceSearch:
             return self._by_tree(points)
         squared, face = self._grid.nearest(points, _RINGS)
         far = np.flatnonzero(face < 0)
-        if len(far) > _FEW * len(points):
+        if len(far) > _FEW * len(self._mesh.faces):
             squared[far], face[far] = self._by_tree(points[far])
         elif len(far) > 0:
             squared[far], face[far] = self._grid.nearest(points[far], int(self._grid.shape.max()))

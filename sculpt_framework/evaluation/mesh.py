@@ -46,7 +46,9 @@ class Mesh:
         """Length of the bounding box's diagonal over the vertices that faces use; 0 without faces."""
         if len(self.faces) == 0:
             return 0.0
-        used = self.vertices[self.faces.reshape(-1)]
+        named = np.zeros(len(self.vertices), bool)
+        named[self.faces] = True
+        used = self.vertices[named]
         return float(np.linalg.norm(used.max(0) - used.min(0)))
 
 

@@ -175,8 +175,7 @@ class Pipeline:
     def _step(self, stage: StageConfig, progress: float) -> None:
         rate = self._rate(progress)
         settled = self._trainer.settle(self._images, stage, rate)
-        # Here a surface has colours of its own, and measuring it costs no extraction besides the step's. By the clock
-        # it is later than it was: warming the colours up took a share of the run.
+        # Here a surface has colours of its own, measuring it costs no extraction, and the clock has gone on.
         progress = self._trainer.processes.first(lambda: self._schedule.progress(self.outer))
         measured = self._measure_if_due(settled.surface.detach(), progress)
         report = self._trainer.update(settled, self._images, stage, rate)
@@ -184,8 +183,7 @@ class Pipeline:
         self.outer += 1
         progress, psnr = self._schedule.progress(self.outer), self._milestones.latest("psnr")
         eta = self._pace.left(progress, self.clock.train_seconds)
-        data = announcements.outer_step(report, progress=progress, psnr=psnr, eta_seconds=eta)
-        self._emit("outer_step", data)
+        self._emit("outer_step", announcements.outer_step(report, progress=progress, psnr=psnr, eta_seconds=eta))
         for told in self._trainer.resting.news():
             self._emit("decision", told)
 
@@ -266,8 +264,8 @@ class Pipeline:
 
     def _measure_if_due(self, surface: Surface, progress: float) -> dict[str, Tensor] | None:
         """The state that was measured, if one was."""
-        first, clock = self._trainer.processes.first, self.clock
-        if (reason := first(lambda: self._milestones.due(progress, clock.train_seconds))) is None:
+        due, clock = self._milestones.due, self.clock
+        if (reason := self._trainer.processes.first(lambda: due(progress, clock.train_seconds))) is None:
             return None
         self._evaluate(reason, progress, surface)
         if self.outer == 0:

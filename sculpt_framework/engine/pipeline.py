@@ -286,7 +286,7 @@ class Pipeline:
 
     def _measure_start(self, target: SdfFunction) -> None:
         """A row about what the initializer has made so far, if that is a surface."""
-        if not self._milestones.start_due():
+        if not self._trainer.processes.first(self._milestones.start_due):
             return
         extractor = self.config.extractor.build(self._trainer.extractor.grid, self._parts.device)
         self._add_row("start", 0.0, lambda: self._yardstick.measure_start(target, extractor, self._parts.device))

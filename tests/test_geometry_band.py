@@ -213,6 +213,18 @@ def test_crossing_weight_gradient():
     )
 
 
+def test_a_damped_crossing_stays_where_it_is_and_moves_less():
+    ends = torch.tensor([[0.2, 0.7], [0.2, 0.2], [1e-5, 3e-5], [0.0, 0.0]], dtype=torch.float64, requires_grad=True)
+    exact = crossing_weight(ends[:, 0], ends[:, 1], LEAST_DROP)
+    damped = crossing_weight(ends[:, 0], ends[:, 1], LEAST_DROP, damped_below=0.8)
+    assert torch.equal(exact, damped)
+    (full,) = torch.autograd.grad(exact.sum(), [ends])
+    (less,) = torch.autograd.grad(damped.sum(), [ends])
+    torch.testing.assert_close(less, full * (ends.detach().sum(dim=1, keepdim=True) / 0.8).clamp(max=1.0))
+    assert torch.equal(less[0], full[0])
+    assert bool((less.abs() <= 1 / 0.8).all())
+
+
 def test_crossing_weight_turns_continuously_towards_the_middle():
     below, above = (crossing_weight(torch.tensor(f * 0.8e-3), torch.tensor(f * 0.2e-3), 1e-3) for f in (0.9999, 1.0001))
     assert math.isclose(float(below), float(above), abs_tol=1e-4)

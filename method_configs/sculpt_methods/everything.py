@@ -46,6 +46,7 @@ def gaussian_sculpting_everything() -> MethodConfig:
             split="diagonal",
             learn_weights=True,
             learn_deformation=False,
+            damp_grazing=False,
             weight_rate=0.01,
             deformation_rate=0.01,
         ),

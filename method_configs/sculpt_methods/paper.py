@@ -40,6 +40,7 @@ def gaussian_sculpting_paper() -> MethodConfig:
             learn_weights=True,  # 3.1 alpha (8 per cell), beta (12 per cell), gamma (1 per cell)
             learn_deformation=True,  # 3.1 delta (3 per grid vertex)
             weight_rate=1e-2,  # not given; ours
+            damp_grazing=False,  # ours; the paper's gradient is the exact one
         ),
         binder=FaceBarycentricConfig(
             gaussians_per_face=3,  # 3.1 "K Gaussians on each face"; the number is ours

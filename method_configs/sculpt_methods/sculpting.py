@@ -31,7 +31,7 @@ def gaussian_sculpting() -> MethodConfig:
         # Fewer colour steps cost more than they spare (docs/plan.md).
         plan=PlanConfig(mode="on", inner_steps="off"),
         field=HashGridFieldConfig(),
-        extractor=FlexiCubesConfig(),
+        extractor=FlexiCubesConfig(damp_grazing=True),
         binder=FaceBarycentricConfig(),
         appearance=ColorFieldConfig(),
         rasterizer=AutoRasterizerConfig(),

@@ -18,6 +18,8 @@ CHUNK = 10
 """Steps between two looks at the clock and at what they have gained."""
 _JUDGES = 2
 """Held-out views that judge: each costs about as much as a step."""
+_RATE_AT_MOST = 0.3
+"""Of the rates that a run begins with: higher ones would unsettle colours that are nearly right."""
 _PATIENCE = 2
 """Chunks in a row that gain too little before it ends: one may be unlucky in its views."""
 
@@ -33,28 +35,39 @@ def polish(
 ) -> dict[str, Any] | None:
     """Inner steps on ``surface``: as many as the config says, fewer if they stop to gain or the deadline comes.
 
+    They go on at the rates that the run has ended with. Of colours that are watched the best are kept.
+
     ``deadline`` is a ``time.monotonic()`` instant. Returns the data of a decision if it ended for want of gain.
     """
     watching = config.polish_gain_db > 0 and len(judges) > 0
     judges, idle, first = judges[:_JUDGES], 0, trainer.processes.first
+    learning, rate = trainer.scene.learning, min(_RATE_AT_MOST, config.final_rate)
 
     def score_now() -> float:
         return first(lambda: _score(trainer, rasterizer, surface, judges, config.low_pass_px2))
 
-    best = score_now() if watching else 0.0
+    score = best = score_now() if watching else 0.0
+    kept = [tensor.detach().clone() for tensor in learning] if watching else []
+    told = None
     for done in range(CHUNK, config.polish_steps + CHUNK, CHUNK):
         if deadline is not None and first(lambda: time.monotonic() >= deadline):
-            return None
-        trainer.inner_loop(surface, images, CHUNK, rate_factor=0.3)
+            break
+        trainer.inner_loop(surface, images, CHUNK, rate_factor=rate)
         if not watching:
             continue
         score = score_now()
         idle = 0 if score > best + config.polish_gain_db else idle + 1
         if idle == _PATIENCE and done < config.polish_steps:
             left = config.polish_steps - done
-            return {"item": "polish", "value": f"ended after {done} steps", "spared": left, "gain_db": score - best}
-        best = max(best, score)
-    return None
+            told = {"item": "polish", "value": f"ended after {done} steps", "spared": left, "gain_db": score - best}
+            break
+        if score > best:
+            best, kept = score, [tensor.detach().clone() for tensor in learning]
+    if score < best:
+        with torch.no_grad():
+            for tensor, value in zip(learning, kept, strict=True):
+                tensor.copy_(value)
+    return told
 
 
 @torch.no_grad()

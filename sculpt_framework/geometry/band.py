@@ -122,14 +122,24 @@ def cases_of(inside: Bool[Tensor, "c 8"]) -> Int64[Tensor, " c"]:
 
 
 def crossing_weight(
-    inner: Float[Tensor, "*shape"], outer: Float[Tensor, "*shape"], least: float | Float[Tensor, "..."]
+    inner: Float[Tensor, "*shape"],
+    outer: Float[Tensor, "*shape"],
+    least: float | Float[Tensor, "..."],
+    damped_below: float | Float[Tensor, "..."] | None = None,
 ) -> Float[Tensor, "*shape"]:
     """Where, from 0 to 1 along an edge, a linear function that goes from -inner to +outer is zero.
 
     Both arguments are non-negative. It is exact where they add up to ``least`` or more; below, it turns continuously
     towards the middle, so that its gradient never exceeds 1 / least, even where both are zero.
+
+    With ``damped_below`` its gradient, not its value, is taken times the share of that which both add up to, if they
+    add up to less: it never exceeds 1 / damped_below then.
     """
-    return 0.5 + 0.5 * (inner - outer) / (inner + outer).clamp(min=least)
+    change = inner + outer
+    weight = 0.5 + 0.5 * (inner - outer) / change.clamp(min=least)
+    if damped_below is None:
+        return weight
+    return weight.detach() + (change.detach() / damped_below).clamp(max=1.0) * (weight - weight.detach())
 
 
 @torch.no_grad()

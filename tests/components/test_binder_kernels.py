@@ -167,6 +167,23 @@ def test_faces_without_area(config: FaceBarycentricConfig, blur: float):
         torch.testing.assert_close(gradient, twin_gradients[name], rtol=1e-2, atol=1e-3 * float(gradient.abs().max()))
 
 
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_the_normal_of_a_tiny_face_teaches_little(dtype: torch.dtype):
+    """A face with sides of 1e-5: the exact gradient of its normal, 1 / height, is as of a face of 1e-6 in area."""
+    config, side = FaceBarycentricConfig(normal_scale=1e-3), 1e-5
+    corners = torch.tensor([[[0.0, 0, 0], [1, 0, 0], [0, 1, 0]], [[2.0, 0, 0], [2 + side, 0, 0], [2, side, 0]]])
+    surface = triangle_surface(corners.double())
+    vertices = (surface.vertices - surface.vertices[surface.faces[1, 0]]).to(dtype).requires_grad_(True)
+    rows = config.build().new_rows(2, torch.device("cpu"), dtype)
+    binding = config.build().bind(replace(surface, vertices=vertices), rows, blur=0.0)
+    binding.rotations[:, 0, 0, 0].sum().backward()
+    assert vertices.grad is not None
+    # Raising the second corner by h tilts the normal by h / side along x.
+    large, tiny = (vertices.grad[surface.faces[face, 1]] for face in (0, 1))
+    torch.testing.assert_close(large, torch.tensor([0.0, 0.0, -1.0], dtype=dtype))
+    torch.testing.assert_close(tiny, torch.tensor([0.0, 0.0, -1.0 / side * side**2 / 1e-6], dtype=dtype))
+
+
 def test_a_vertex_that_is_not_a_number_shows():
     surface = _ball()
     vertices = surface.vertices.clone()

@@ -49,6 +49,7 @@ def value(config: object, path: str) -> object:
         ("appearance.rest_rate", 1.25e-4),
         ("extractor.learn_weights", True),
         ("extractor.learn_deformation", True),
+        ("extractor.damp_grazing", False),
         ("losses.photometric.dssim", 0.2),
         ("constraints.mee-scale.form", "edges"),
         ("constraints.mee-scale.limit", 1.0),

@@ -99,6 +99,23 @@ def test_vanishing_sdf_keeps_gradients_finite():
     assert bool(torch.isfinite(torch.autograd.grad(total, [values])[0]).all())
 
 
+def test_damped_edges_leave_the_surface_and_bound_its_gradient():
+    """A plane that hardly rises along x and y, whose crossings there run hundreds of cells per unit of distance."""
+    grid = unit_grid((6, 6, 6))
+    i, j, k = torch.meshgrid(*(torch.arange(7.0),) * 3, indexing="ij")
+    values = (0.05 * (k - 3.0) + 1e-4 * (i + 0.7 * j - 5.1)).requires_grad_()
+    slopes, surfaces = [], []
+    for damp in (False, True):
+        config = FlexiCubesConfig(damp_grazing=damp)
+        surface = config.build(grid, CPU).extract(corner_lookup(values), all_cells(grid)).surface
+        surfaces.append(surface.vertices.detach())
+        slopes.append(torch.autograd.grad(surface.vertices[:, 0].sum(), [values])[0])
+    assert torch.equal(surfaces[0], surfaces[1])
+    assert float(slopes[0].abs().max()) > 100 * float(slopes[1].abs().max())
+    # No crossing moves by more than one cell where the distance changes by one; a corner ends six edges.
+    assert float(slopes[1].abs().max()) <= 6.0
+
+
 @pytest.mark.parametrize("name", ["alpha", "beta", "gamma", "delta"])
 def test_gradient_of_the_tables_through_extraction(name: str):
     grid = grid_over_box(torch.ones(3), cells=7)

@@ -33,7 +33,7 @@ from .triples import (
 @njit(**OPTIONS)
 def _place_backward(
     begin, end,
-    vertices, faces, steiner, mixing, trims, depth_below, barycentrics, scales, rotations,
+    vertices, faces, least, steiner, mixing, trims, depth_below, barycentrics, scales, rotations,
     to_means, to_scales, to_rotations, to_barycentrics, to_covariance, to_flat_corners,
     to_logits, to_log_ratios, to_rotation, to_corners,
 ):  # fmt: skip
@@ -136,7 +136,7 @@ def _place_backward(
             to_edge, to_other, to_normal = plus(to_edge, in_face), plus(to_other, more), plus(to_normal, in_normal)
             upward = cross(edge, other)
             direction, size = unit(upward)
-            to_area = through_unit(to_normal, direction, size)
+            to_area = through_unit(to_normal, direction, max(size, least))
             to_edge = plus(to_edge, cross(other, to_area))
             to_other = plus(to_other, cross(to_area, edge))
             to_first = minus(to_first, plus(to_edge, to_other))
@@ -181,16 +181,19 @@ def _through_flat(edge, other, normal, to_x, to_p, to_q):
 
 @njit(parallel=True, **OPTIONS)
 def place_backward(
-    vertices, faces, steiner, mixing, trims, depth_below, barycentrics, scales, rotations,
+    vertices, faces, least, steiner, mixing, trims, depth_below, barycentrics, scales, rotations,
     to_means, to_scales, to_rotations, to_barycentrics, to_covariance, to_flat_corners,
     to_logits, to_log_ratios, to_rotation, to_corners,
 ):  # fmt: skip
-    """Fill ``to_logits``, ``to_log_ratios``, ``to_rotation`` and, where there is any, ``to_corners`` (f, 3, 3)."""
+    """Fill ``to_logits``, ``to_log_ratios``, ``to_rotation`` and, where there is any, ``to_corners`` (f, 3, 3).
+
+    ``least`` is the parallelogram of the smallest face whose normal teaches (``Manner.least_parallelogram``).
+    """
     for chunk in prange((faces.shape[0] + CHUNK - 1) // CHUNK):
         # A function of its own: the passes for parallel loops do not take the tuples in it.
         _place_backward(
             chunk * CHUNK, min((chunk + 1) * CHUNK, faces.shape[0]),
-            vertices, faces, steiner, mixing, trims, depth_below, barycentrics, scales, rotations,
+            vertices, faces, least, steiner, mixing, trims, depth_below, barycentrics, scales, rotations,
             to_means, to_scales, to_rotations, to_barycentrics, to_covariance, to_flat_corners,
             to_logits, to_log_ratios, to_rotation, to_corners,
         )  # fmt: skip

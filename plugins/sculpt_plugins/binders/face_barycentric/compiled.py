@@ -115,6 +115,7 @@ class _Bind(torch.autograd.Function):
         )  # fmt: skip
         ctx.save_for_backward(vertices, faces, rotation, barycentrics, scales, rotations)
         ctx.steiner, ctx.mixing, ctx.depth, ctx.trims = manner.reference == "steiner", mixing, depth, trims
+        ctx.least = np.float32(manner.least_parallelogram)
         ctx.set_materialize_grads(False)
         if not ctx.needs_input_grad[0]:
             ctx.mark_non_differentiable(corners)
@@ -135,7 +136,7 @@ class _Bind(torch.autograd.Function):
         to_rotation = None if rotation is None else torch.empty(count, per_face)
         to_corners = np.empty((count if ctx.needs_input_grad[0] else 0, 3, 3), np.float32)
         backward.place_backward(
-            _array(vertices), _array(faces), ctx.steiner, ctx.mixing, ctx.trims, ctx.depth,
+            _array(vertices), _array(faces), ctx.least, ctx.steiner, ctx.mixing, ctx.trims, ctx.depth,
             _array(barycentrics), _array(scales), _array(rotations),
             to_means, to_scales, to_rotations, to_barycentrics, to_covariance, to_flat_corners,
             to_logits.numpy(), to_log_ratios.numpy(), _turns(to_rotation), to_corners,

@@ -29,6 +29,16 @@ class Manner:
     depths: Float[Tensor, " n"]
     """``outline.rim_depths`` of the opacity."""
 
+    @property
+    def least_parallelogram(self) -> float:
+        """Twice the area from which on a face's normal has its exact gradient; that of a smaller face is as of one so
+        large.
+
+        No image shows which way a face looks that is smaller than its Gaussian is thick. The surface has such faces
+        where it passes through a corner of the grid; exact gradients of one of them would outweigh all others.
+        """
+        return self.normal_scale**2
+
 
 def bind_in_torch(
     surface: Surface, rows: Mapping[str, Tensor], opacities: Float[Tensor, "f k"], manner: Manner
@@ -37,7 +47,7 @@ def bind_in_torch(
     # Not by indexing: the order in which its backward adds on a CPU changes from run to run.
     corners = surface.vertices.index_select(0, surface.faces.reshape(-1)).reshape(-1, 3, 3)
     barycentrics = rows["barycentric_logits"].softmax(dim=2)
-    normal, radii = normal_and_radii(corners, manner.reference)
+    normal, radii = normal_and_radii(corners, manner.reference, manner.least_parallelogram)
     means = barycentrics @ corners
     mixing = _mixing(rows["log_ratios"].exp(), rows.get("rotation"))
     if manner.relief is not None:
@@ -70,12 +80,16 @@ def bind_in_torch(
 
 
 def normal_and_radii(
-    corners: Float[Tensor, "f 3 3"], reference: str
+    corners: Float[Tensor, "f 3 3"], reference: str, least: float = 0.0
 ) -> tuple[Float[Tensor, "f 3"], Float[Tensor, "f 3 2"]]:
-    """Unit normals, and both reference radii as columns."""
+    """Unit normals, and both reference radii as columns. ``least``: ``Manner.least_parallelogram``."""
     first, second, third = corners.unbind(1)
     edge, other = second - first, third - first
-    normal = _unit(torch.cross(edge, other, dim=1))
+    upward = torch.cross(edge, other, dim=1)
+    normal = _unit(upward)
+    if least > 0.0:
+        share = (_rounded_length(upward.detach()) / least).clamp(max=1.0)
+        normal = normal.detach() + share * (normal - normal.detach())
     if reference == "steiner":
         along, across = edge / math.sqrt(3.0), (2.0 / 3.0) * (third - 0.5 * (first + second))
     else:
@@ -95,7 +109,11 @@ def _mixing(ratios: Float[Tensor, "f k 2"], angle: Float[Tensor, "f k"] | None) 
 
 def _unit(vector: Float[Tensor, "f 3"]) -> Float[Tensor, "f 3"]:
     """Direction of a vector; shorter than 1 for vectors that are hardly longer than rounding."""
-    return vector / (vector.square().sum(dim=-1, keepdim=True) + SQUARE * SQUARE).sqrt()
+    return vector / _rounded_length(vector)
+
+
+def _rounded_length(vector: Float[Tensor, "f 3"]) -> Float[Tensor, "f 1"]:
+    return (vector.square().sum(dim=-1, keepdim=True) + SQUARE * SQUARE).sqrt()
 
 
 def _in_plane(

@@ -23,6 +23,10 @@ class FlexiCubesConfig(ExtractorConfig):
     """Learn alpha and beta (where a dual vertex lies in its cell) and, with split center, gamma."""
     learn_deformation: bool = False
     """Learn delta, a shift of every grid corner by less than half a cell."""
+    damp_grazing: bool = False
+    """Lessen the gradient of crossings on edges that the surface grazes, in proportion to how much the distance changes
+    along them, in cells. Such a crossing runs far along the surface for a small change of the distance, and would carry
+    the noise of the images many times enlarged into the field."""
     weight_rate: float = 3e-2
     """Adam rate of raw alpha, beta and gamma; the factor in use is 1 + 0.99 tanh(raw)."""
     deformation_rate: float = 1e-2

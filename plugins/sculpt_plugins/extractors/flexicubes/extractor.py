@@ -115,10 +115,11 @@ class FlexiCubes(RefiningExtractor):
     def extract(self, sdf: SdfFunction, seeds: Int64[Tensor, " s"]) -> Extraction:
         band = self._follow(sdf, seeds)
         weights = CellWeights(**self._cell_weights(band.cells))
+        split, damp = self.config.split, self.config.damp_grazing
         if isinstance(band, OctreeBand):
-            found = octree_surface(band, self.config.split, *weights.positive())
+            found = octree_surface(band, split, *weights.positive(), damp_grazing=damp)
         else:
-            found = grid_surface(band, self._grid.cell, self.config.split, *weights.positive())
+            found = grid_surface(band, self._grid.cell, split, *weights.positive(), damp_grazing=damp)
         return Extraction(
             surface=found.surface,
             grid=self._grid,

@@ -22,6 +22,7 @@ def dual_vertices(
     alpha: Float[Tensor, "c a"] | None = None,
     beta: Float[Tensor, "c b"] | None = None,
     used: Int64[Tensor, " m"] | None = None,
+    damp_grazing: bool = False,
 ) -> tuple[Float[Tensor, "d 3"], Float[Tensor, " d"]]:
     """Positions of the dual vertices, and of each the mean absolute deviation of its distances to its crossings.
 
@@ -29,14 +30,15 @@ def dual_vertices(
     the inner and outer end; the vertex is the mean of these, weighted by beta. ``alpha`` and ``beta`` are positive and
     1 where they are not given; their columns are what ``cell_ends`` and ``cell_edge`` of the topology count. ``cell``
     is the length of the edges. ``used`` names the places, of the 4 e of all edges, that count; default: all of them.
-    Crossings and gradients stay finite where both ends are 0 (``crossing_weight``).
+    Crossings and gradients stay finite where both ends are 0 (``crossing_weight``). With ``damp_grazing`` the gradient
+    of a crossing is lessened where a grows by less than the edge's length along it, in proportion.
     """
-    least = LEAST_DROP * (cell[:, None] if isinstance(cell, Tensor) else cell)
+    side = cell[:, None] if isinstance(cell, Tensor) else cell
     ends = corner_positions.index_select(0, topology.ends.reshape(-1)).reshape(-1, 2, 3)
     reach = corner_sdf.index_select(0, topology.ends.reshape(-1)).reshape(-1, 1, 2).abs()
     if alpha is not None:
         reach = reach * _entries(alpha, topology.cells[..., None], topology.cell_ends)
-    weight = crossing_weight(reach[..., 0], reach[..., 1], least)
+    weight = crossing_weight(reach[..., 0], reach[..., 1], LEAST_DROP * side, side if damp_grazing else None)
     inner, outer = ends[:, None, 0], ends[:, None, 1]
     crossings = (inner + weight[..., None] * (outer - inner)).expand(-1, 4, 3).reshape(-1, 3)
 

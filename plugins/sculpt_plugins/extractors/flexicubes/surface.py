@@ -38,13 +38,23 @@ def grid_surface(
     alpha: Float[Tensor, "c 8"] | None = None,
     beta: Float[Tensor, "c 12"] | None = None,
     gamma: Float[Tensor, "c 1"] | None = None,
+    *,
+    damp_grazing: bool = False,
 ) -> DualSurface:
     """The closed surface of a band with cells of side ``cell``.
 
-    The weights, of its cells, are positive and 1 where they are not given.
+    The weights, of its cells, are positive and 1 where they are not given. ``damp_grazing`` as in ``dual_vertices``.
     """
     topology = dual_topology(band)
-    vertices, deviation = dual_vertices(topology, band.corner_positions, band.corner_sdf, cell, alpha=alpha, beta=beta)
+    vertices, deviation = dual_vertices(
+        topology,
+        band.corner_positions,
+        band.corner_sdf,
+        cell,
+        alpha=alpha,
+        beta=beta,
+        damp_grazing=damp_grazing,
+    )
     keys = topology.keys + DESCENDING_PART * topology.descending
     return DualSurface(
         surface=split_quads(vertices, topology.vertices, topology.cells, topology.axis, keys, gamma, split),
@@ -59,6 +69,8 @@ def octree_surface(
     alpha: Float[Tensor, "c 8"] | None = None,
     beta: Float[Tensor, "c 12"] | None = None,
     gamma: Float[Tensor, "c 1"] | None = None,
+    *,
+    damp_grazing: bool = False,
 ) -> DualSurface:
     """The closed surface of a band on an octree, as ``grid_surface`` for cells of one size.
 
@@ -78,6 +90,7 @@ def octree_surface(
         alpha=None if alpha is None else alpha @ _alpha_to_points(alpha.device, alpha.dtype),
         beta=None if beta is None else beta @ _beta_to_slots(beta.device, beta.dtype),
         used=torch.nonzero(~repeated.reshape(-1)).squeeze(1) if mixed else None,
+        damp_grazing=damp_grazing,
     )
     return DualSurface(
         surface=_triangulated(topology, torch.nonzero(~three).squeeze(1), vertices, gamma, split),

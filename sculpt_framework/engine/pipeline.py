@@ -178,7 +178,7 @@ class Pipeline:
         # Here a surface has colours of its own, measuring it costs no extraction, and the clock has gone on.
         progress = self._trainer.processes.first(lambda: self._schedule.progress(self.outer))
         measured = self._measure_if_due(settled.surface.detach(), progress)
-        report = self._trainer.update(settled, self._images, stage, rate)
+        report = self._trainer.update(settled, self._images, stage, self._schedule.surface_rate(rate, self.outer))
         self._last_good = measured or self._last_good  # A step has gone well from it.
         self.outer += 1
         progress, psnr = self._schedule.progress(self.outer), self._milestones.latest("psnr")

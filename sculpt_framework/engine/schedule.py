@@ -29,6 +29,7 @@ class Schedule:
         self._stages: Sequence[StageConfig] = config.stages
         self._steps = config.outer_steps
         self._final_rate = config.final_rate
+        self._settle_steps = config.settle_steps
         self._deadline = deadline
         self._began: float | None = None
         self._done_before = 0.0
@@ -81,6 +82,10 @@ class Schedule:
     def rate_factor(self, progress: float) -> float:
         """Factor on learning rates: they fall exponentially to ``final_rate``."""
         return self._final_rate**progress
+
+    def surface_rate(self, rate: float, outer: int) -> float:
+        """What of a factor on learning rates the surface gets after so many outer steps of this run."""
+        return rate if self._settle_steps == 0 else min(rate, 1.0 / (1.0 + outer / self._settle_steps))
 
 
 class Pace:

@@ -33,6 +33,15 @@ def test_rates_fall_to_the_share_that_was_asked_for():
     assert rates == sorted(rates, reverse=True)
 
 
+def test_the_surface_settles_however_long_the_run():
+    assert Schedule(small_config(settle_steps=0).trainer, None).surface_rate(0.9, 10_000) == 0.9
+    schedule = Schedule(small_config(settle_steps=40).trainer, time.monotonic() + 1e6)
+    assert schedule.surface_rate(1.0, 0) == 1.0
+    assert schedule.surface_rate(1.0, 40) == pytest.approx(0.5)
+    assert schedule.surface_rate(0.3, 40) == 0.3
+    assert schedule.surface_rate(1.0, 360) == pytest.approx(0.1)
+
+
 def test_time_makes_progress_and_has_its_own_shares(monkeypatch: pytest.MonkeyPatch):
     now = 100.0
     monkeypatch.setattr(time, "monotonic", lambda: now)

@@ -10,8 +10,8 @@ _ZERO, _ONE, _HALF = np.float32(0), np.float32(1), np.float32(0.5)
 _CHUNK = 1024
 """Points a thread takes at a time."""
 
-# The loops over points stand in functions of their own that are inlined with the usual numbers of features, 2 and 4, as
-# constants, so that the loops over features are unrolled: that halves the time.
+# The loops over points stand in functions of their own that are inlined with the usual numbers of features, 1, 2 and 4,
+# as constants, so that the loops over features are unrolled: that halves the time.
 
 
 @njit(inline="always", **_OPTIONS)
@@ -77,7 +77,9 @@ def encode_level(points, table, resolution, column, out):
     count, features = points.shape[0], table.shape[1]
     for chunk in prange((count + _CHUNK - 1) // _CHUNK):
         first, end = chunk * _CHUNK, min((chunk + 1) * _CHUNK, count)
-        if features == 2:
+        if features == 1:
+            _encode(points, table, resolution, column, 1, first, end, out)
+        elif features == 2:
             _encode(points, table, resolution, column, 2, first, end, out)
         elif features == 4:
             _encode(points, table, resolution, column, 4, first, end, out)
@@ -104,7 +106,9 @@ def _differentiate_table(points, resolution, column, features, to_out, to_table)
 def differentiate_table(points, resolution, column, to_out, to_table):
     """Add the gradient by the table to ``to_table``. On one thread: each table has one writer, so no two collide."""
     features = to_table.shape[1]
-    if features == 2:
+    if features == 1:
+        _differentiate_table(points, resolution, column, 1, to_out, to_table)
+    elif features == 2:
         _differentiate_table(points, resolution, column, 2, to_out, to_table)
     elif features == 4:
         _differentiate_table(points, resolution, column, 4, to_out, to_table)

@@ -14,7 +14,7 @@ from sculpt_plugins.fields.hash_grid.config import HashGridFieldConfig
 from sculpt_plugins.fields.mlp.config import MlpFieldConfig
 
 FIELDS = {
-    "hash-grid": HashGridFieldConfig(num_levels=4, log2_table=13, finest_resolution=32, learning_rate=2e-3),
+    "hash-grid": HashGridFieldConfig(num_levels=4, log2_table=13, finest_resolution=32),
     "dense-grid": DenseGridFieldConfig(resolution=24),
     "mlp": MlpFieldConfig(hidden_layers=3, hidden_units=32, skip_layer=2, frequencies=3),
 }

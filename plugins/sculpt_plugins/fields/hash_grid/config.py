@@ -11,12 +11,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class HashGridFieldConfig(FieldConfig):
-    """A multi-resolution hash grid with a linear or small MLP decoder, on top of the distance to a sphere."""
+    """A multi-resolution hash grid, with or without a small decoder, on top of the distance to a sphere."""
 
     num_levels: int = 7
     """Levels of the grid."""
     features_per_level: int = 2
-    """Numbers stored per grid corner."""
+    """Numbers stored per grid corner, where there is a decoder; else it is one."""
     log2_table: int = 19
     """Entries per level at most, as a power of two; levels that fit are stored without collisions."""
     base_resolution: int = 4
@@ -24,12 +24,12 @@ class HashGridFieldConfig(FieldConfig):
     finest_resolution: int = 256
     """Cells across [-1, 1] at the finest level."""
     hidden_units: int = 0
-    """Units of the decoder's one hidden layer; 0: a linear decoder."""
+    """Units of the decoder's one hidden layer; 0: none, and no decoder either unless there are ``features``."""
     features: int = 0
     """Length of the feature vector beside the distance."""
     sphere_radius: float = 0.5
     """Radius of the sphere the field starts as, in object units."""
-    learning_rate: float = 2e-3
+    learning_rate: float = 4e-3
     """Adam's rate of the table before the schedule, for the coarsest level."""
     decoder_rate: float = 2e-3
     """Adam's rate of the decoder's weights before the schedule, if there is a decoder."""

@@ -8,35 +8,39 @@ from sculpt_framework.fields import Field, ParameterGroup
 from sculpt_framework.types import FieldSample
 from sculpt_plugins.fields.hash_grid.config import HashGridFieldConfig
 
-_FIT_RATE = 0.006
+_FIT_RATE = 0.012
 """Of the coarsest level, in object units per step: the initial surface may be half a unit away."""
 
 
 class HashGridField(Field):
     """sdf(x) = |x| - radius + correction(x).
 
-    With a linear decoder the correction is a pyramid of grids: the features of all levels, added up. Each level is a
-    parameter group of its own. Adam moves every table entry at about its group's rate, whatever the size of its
-    gradient, so rates that fall with the cell size make coarse levels move the surface far and fine ones a little: a
-    multigrid preconditioner, and the reason why the fine levels do not get noisy before the coarse ones have settled.
-    With ``hidden_units`` the features pass a one-layer softplus decoder that starts at zero output.
+    Without a decoder the correction is a pyramid of grids: one number at every corner of every level, interpolated and
+    added up. Each level is a parameter group of its own. Adam moves every table entry at about its group's rate,
+    whatever the size of its gradient, so rates that fall with the cell size make coarse levels move the surface far
+    and fine ones a little: a multigrid preconditioner, and the reason why the fine levels do not get noisy before the
+    coarse ones have settled. With ``hidden_units`` or ``features`` there are several numbers per corner, side by side,
+    and a decoder: linear, or of one softplus layer, that starts at about zero output.
     """
 
     def __init__(self, config: HashGridFieldConfig):
         super().__init__()
         self._config = config
+        decoded = config.hidden_units > 0 or config.features > 0
         self._encoding = HashEncoding(
             levels=config.num_levels,
-            features_per_level=config.features_per_level,
+            # Without a decoder several numbers at a corner would have the same gradient and stay alike.
+            features_per_level=config.features_per_level if decoded else 1,
             log2_table=config.log2_table,
             base_resolution=config.base_resolution,
             finest_resolution=config.finest_resolution,
-            init_scale=1e-4 if config.hidden_units else 0.0,
+            init_scale=1e-4 if decoded else 0.0,
+            sum_levels=not decoded,
         )
         self._active_levels = config.num_levels
         channels = config.num_levels * config.features_per_level
         self._decoder: nn.Module | None = None
-        if config.hidden_units or config.features:
+        if decoded:
             hidden = config.hidden_units or channels
             first = nn.Sequential(nn.Linear(channels, hidden), nn.Softplus(beta=100.0)) if config.hidden_units else []
             last = nn.Linear(hidden, 1 + config.features)
@@ -47,7 +51,7 @@ class HashGridField(Field):
     def forward(self, points: Float[Tensor, "n 3"]) -> FieldSample:
         encoded = self._encoding(points, active_levels=self._active_levels)
         if self._decoder is None:
-            correction, features = encoded.sum(dim=1), encoded[:, :0]
+            correction, features = encoded[:, 0], encoded[:, :0]
         else:
             decoded = self._decoder(encoded)
             correction, features = decoded[:, 0], decoded[:, 1:]

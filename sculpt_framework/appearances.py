@@ -3,6 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 
+import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
@@ -14,9 +15,22 @@ class Appearance(nn.Module, ABC):
     parameters. Positions come detached: colour must not open a second route for gradients into geometry.
     """
 
+    def __init__(self, sh_degree: int):
+        """Raises ValueError for a degree that is not 0 to 3."""
+        super().__init__()
+        if not 0 <= sh_degree <= 3:
+            raise ValueError(f"spherical-harmonics degree must be 0 to 3, not {sh_degree}")
+        self._highest = self._sh_degree = sh_degree
+
     @property
-    @abstractmethod
-    def sh_degree(self) -> int: ...
+    def sh_degree(self) -> int:
+        return self._sh_degree
+
+    def set_sh_degree(self, degree: int) -> None:
+        """Have no bands above this one, in rows neither. Raises ValueError beyond the degree it was made with."""
+        if not 0 <= degree <= self._highest:
+            raise ValueError(f"spherical harmonics of degree {degree} in an appearance of degree {self._highest}")
+        self._sh_degree = degree
 
     @property
     @abstractmethod
@@ -40,11 +54,25 @@ class Appearance(nn.Module, ABC):
     def optimizer_groups(self) -> list[dict]:
         """Parameter groups for Adam, each with ``params`` and its own ``lr``; empty if nothing is shared."""
 
+    # -- bands above the first, each a row parameter of its own: one that is given up leaves nothing behind -----------
 
-def check_degree(degree: int) -> None:
-    if not 0 <= degree <= 3:
-        raise ValueError(f"spherical-harmonics degree must be 0 to 3, not {degree}")
+    def band_rates(self, rate: float) -> dict[str, float]:
+        """Learning rates of the bands from 1 up."""
+        return {f"band_{degree}": rate for degree in range(1, self.sh_degree + 1)}
+
+    def new_bands(self, means: Float[Tensor, "f k 3"]) -> dict[str, Tensor]:
+        """Rows of the bands from 1 up, "f k 2d+1 3", at 0."""
+        return {
+            f"band_{degree}": means.new_zeros(*means.shape[:2], 2 * degree + 1, 3)
+            for degree in range(1, self.sh_degree + 1)
+        }
+
+    def with_bands(self, base: Float[Tensor, "f k 3"], rows: Mapping[str, Tensor]) -> Float[Tensor, "f k b 3"]:
+        """Band 0 and what the rows say of those above."""
+        above = [rows[f"band_{degree}"] for degree in range(1, self.sh_degree + 1)]
+        return torch.cat([base.unsqueeze(2), *above], dim=2) if above else base.unsqueeze(2)
 
 
 def bands(degree: int) -> int:
+    """Coefficients of all bands up to this one."""
     return (degree + 1) ** 2

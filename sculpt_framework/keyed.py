@@ -90,6 +90,13 @@ class KeyedTable:
         self._steps = _taken(self._steps, row, new, steps) if had_rows else steps
         self.keys = keys.clone()
 
+    def keep_only(self, learning_rates: Mapping[str, float]) -> None:
+        """Drop all parameters but these, rows and optimiser state."""
+        self.learning_rates = dict(learning_rates)
+        for rows in (self.leaves, self._first, self._second):
+            for name in rows.keys() - self.learning_rates.keys():
+                del rows[name]
+
     def zero_grad(self) -> None:
         for leaf in self.leaves.values():
             leaf.grad = None

@@ -79,6 +79,11 @@ class GaussianScene:
             sh = self.appearance(means.detach(), self.appearance_rows.leaves)
             return sh[:, :, : bands(min(degree, self.appearance.sh_degree))]
 
+    def lower_sh_degree(self, degree: int) -> None:
+        """Give up the bands above this one: their rows and all that learning keeps of them."""
+        self.appearance.set_sh_degree(degree)
+        self.appearance_rows.keep_only(self.appearance.learning_rates)
+
     def zero_grad(self) -> None:
         self.geometry_rows.zero_grad()
         self.appearance_rows.zero_grad()
@@ -89,12 +94,15 @@ class GaussianScene:
         """Rows and what is needed to carry them on, for a checkpoint; the appearance's own parameters excluded."""
         out = {f"geometry.{name}": value for name, value in self.geometry_rows.state().items()}
         out |= {f"appearance.{name}": value for name, value in self.appearance_rows.state().items()}
+        out["sh_degree"] = torch.tensor(self.appearance.sh_degree)
         if self._centroids is not None:
             out["centroids"] = self._centroids
         return out
 
     def load_state(self, state: Mapping[str, Tensor]) -> None:
         """Inverse of ``state``. Raises KeyError where an entry is missing."""
+        self.appearance.set_sh_degree(int(state["sh_degree"]))
+        self.appearance_rows.keep_only(self.appearance.learning_rates)
         for prefix, table in (("geometry.", self.geometry_rows), ("appearance.", self.appearance_rows)):
             table.load_state({name[len(prefix) :]: value for name, value in state.items() if name.startswith(prefix)})
         self._centroids = state["centroids"].clone() if "centroids" in state else None

@@ -24,6 +24,8 @@ from sculpt_framework.types import Gaussians, Scene, Surface, View
 _CURVE_SAMPLES, _RESULT_SAMPLES = 20_000, 200_000
 _VIEWS_AT_MOST, _PIXELS_AT_MOST = 4, 4_000_000
 """More held-out views, or more pixels in them, add evaluation time, not knowledge."""
+_JUDGES = 2
+"""Views for what is looked at often."""
 
 
 class Yardstick:
@@ -73,6 +75,18 @@ class Yardstick:
         """The same of what the run leaves, with all that is measured of a result and as many samples as it deserves."""
         reference = None if self.reference is None else self.reference.with_samples(_RESULT_SAMPLES)
         return self._splats(scene, surface) | result_measures(self._mesh(surface), reference)
+
+    @torch.no_grad()
+    def quick_psnr(self, gaussians: Gaussians) -> float:
+        """Mean on a few of the views, in dB, on white; each costs about as much as an inner step."""
+        total, judges = 0.0, self.images[:_JUDGES]
+        for image in judges:
+            white = torch.ones(3).to(image.premultiplied)
+            rendering = self._rasterizer.render(
+                gaussians, image.camera, white, low_pass_px2=self._low_pass_px2, normals=False
+            )
+            total += psnr(rendering.rgb, image.over(white).rgb)
+        return total / len(judges)
 
     def _mesh(self, surface: Surface) -> Mesh:
         return world_mesh(surface, self._box)[0]

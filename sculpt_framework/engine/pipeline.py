@@ -14,6 +14,7 @@ from sculpt_framework.engine import announcements, assembly, foresight
 from sculpt_framework.engine.assembly import Parts
 from sculpt_framework.engine.clock import TrainingClock, process_start
 from sculpt_framework.engine.events import Event, EventName
+from sculpt_framework.engine.idle_bands import spare_bands
 from sculpt_framework.engine.images import TrainingImage, pixel_footprint, prepare_image
 from sculpt_framework.engine.initial_fit import fit_to_views
 from sculpt_framework.engine.measuring import Yardstick, resident_megabytes
@@ -34,6 +35,8 @@ from sculpt_framework.types import Scene, Surface
 _RECOVERIES_AT_MOST = 3
 _UNSTABLE = (FloatingPointError, EmptySurfaceError)
 """What a step or a measurement raises when the optimisation has gone wrong."""
+_MARGIN_DB = 0.3
+"""By which an earlier state's held-out views must be better: less is chance, and rates were higher then."""
 
 
 class Pipeline:
@@ -67,9 +70,9 @@ class Pipeline:
         self._trainer = self._parts.trainer
         end = self.clock.deadline(config.max_time, share_left=0.08, seconds_left=3.0)
         self._schedule = Schedule(config.trainer, end)
+        rasterizer, box, device = self._parts.rasterizer, self.scene.box, self._parts.device
         chosen, held_out = assembly.split_views(len(self.scene.train), config.trainer.holdout_every)
         self._views = [self.scene.train[index] for index in chosen]
-        rasterizer, box, device = self._parts.rasterizer, self.scene.box, self._parts.device
         self._yardstick = Yardstick(config, self.scene, held_out, rasterizer, device)
         shown = self._yardstick.images[:1] or [prepare_image(self._views[0], box, 1.0, device, crop=False)]
         self._album = Album(rasterizer, shown[0], box, self._yardstick.reference, config.trainer.low_pass_px2)
@@ -184,7 +187,8 @@ class Pipeline:
         progress, psnr = self._schedule.progress(self.outer), self._milestones.latest("psnr")
         eta = self._pace.left(progress, self.clock.train_seconds)
         self._emit("outer_step", announcements.outer_step(report, progress=progress, psnr=psnr, eta_seconds=eta))
-        for told in self._trainer.resting.news():
+        bands = spare_bands(self._trainer, settled.binding, self._yardstick, self.config.trainer, self.outer)
+        for told in (*self._trainer.resting.news(), *bands):
             self._emit("decision", told)
 
     def _rate(self, progress: float) -> float:
@@ -240,7 +244,7 @@ class Pipeline:
             surface = self._trainer.settle(self._images, stage, self._rate(progress)).surface.detach()
         self._evaluate("end of optimisation", progress, surface or self._follow_surface())
         latest = self._milestones.latest("psnr")
-        if self._best is None or latest is None or self._best[0] <= latest + 0.02:
+        if self._best is None or latest is None or self._best[0] <= latest + _MARGIN_DB:
             return latest
         self._emit("decision", {"item": "kept state", "value": "best", "psnr": self._best[0], "last_psnr": latest})
         self._return_to(self._best[1])
@@ -248,10 +252,8 @@ class Pipeline:
 
     def _polish(self, surface: Surface) -> None:
         """Colours on the final surface, for as many steps as the method says and the time limit allows."""
-        config, rasterizer = self.config.trainer, self._parts.rasterizer
         end = self.clock.deadline(self.config.max_time, share_left=0.025, seconds_left=2.0)
-        told = polish(self._trainer, rasterizer, surface, self._images, self._yardstick.images, config, end)
-        if told is not None:
+        for told in polish(self._trainer, surface, self._images, self._yardstick, self.config.trainer, end):
             self._emit("decision", told)
 
     def _follow_surface(self) -> Surface:
@@ -319,9 +321,10 @@ class Pipeline:
         Where the run counts steps, measurements at clock times are passed over: which state wins must not depend on how
         fast the machine is.
         """
-        last = self._stage_index == len(self.config.trainer.stages) - 1
-        repeatable = self.config.max_time is not None or reason != "time"
-        if score is not None and last and repeatable and (self._best is None or score > self._best[0]):
+        last, timed = self._stage_index == len(self.config.trainer.stages) - 1, self.config.max_time is not None
+        if score is None or not last or (reason == "time" and not timed):
+            return
+        if self._best is None or score > self._best[0]:
             self._best = (score, capture(self._trainer, self._stage_index, self._generator))
 
     def announce_end(self, result: Reconstruction, files: Mapping[str, str]) -> None:
@@ -409,12 +412,9 @@ class Pipeline:
         self.clock.go_on_from(progress.trained_seconds)
         self._emit("action", {"message": f"going on after outer step {self.outer}"})
         self._announce_stage()
-        self._keep_good()
+        self._last_good = capture(self._trainer, self._stage_index, self._generator)
 
     def at_result(self, saved: tuple[Mapping[str, Tensor], Progress]) -> tuple[BiLevelTrainer, float | None]:
         """The trainer as the result of a finished run was made by it, and the psnr of that on the held-out views."""
         self._resume(*saved)
         return self._trainer, self._keep_better(1.0)
-
-    def _keep_good(self) -> None:
-        self._last_good = capture(self._trainer, self._stage_index, self._generator)

@@ -35,6 +35,9 @@ def savings(plan: Facts, events: Sequence[Facts]) -> list[Saving]:
             seconds = None if pace is None else ended["spared"] * pace
         megabytes = spared.get("megabytes")
         out.append(Saving(item=decision["item"], what=decision["saves"], seconds=seconds, megabytes=megabytes))
+    if (given_up := _decided(events, "sh-degree")) is not None:
+        what = f"{given_up['spared']} colour numbers per Gaussian, from the step on that found them idle"
+        out.append(Saving(item="sh-degree", what=what, seconds=None, megabytes=given_up["megabytes"]))
     return out
 
 

@@ -22,6 +22,7 @@ from sculpt_framework.config import MethodConfig
 from sculpt_framework.engine import steering as steering_module
 from sculpt_framework.engine.checkpoint import read_checkpoint, write_checkpoint
 from sculpt_framework.engine.events import Event
+from sculpt_framework.engine.measuring import Yardstick
 from sculpt_framework.engine.milestones import Milestones
 from sculpt_framework.engine.pipeline import Pipeline
 from sculpt_framework.engine.run import load_finished, run, run_status
@@ -134,6 +135,24 @@ def test_a_curve_that_is_level_ends_a_run_early(
     assert last.t_wall < 0.1 * limit
     began = next(event.t_wall for event in events if event.event == "stage")
     assert early.data["run_cut_to"] == pytest.approx((early.t_wall - began) / 0.8 / limit, rel=0.5)
+
+
+@pytest.mark.parametrize(("lead_db", "gone_back"), [(0.1, False), (1.0, True)])
+def test_an_earlier_state_is_kept_if_it_is_clearly_better(
+    scene: Scene, lead_db: float, gone_back: bool, monkeypatch: pytest.MonkeyPatch
+):
+    """The last one has lower rates behind it; a tenth of a decibel on a few held-out views is chance."""
+    events: list[Event] = []
+    pipeline = Pipeline(small_config(outer_steps=4, polish_steps=0), scene=scene, emit=events.append)
+    measure = Yardstick.measure
+
+    def scripted(yardstick: Yardstick, *words: Any) -> dict[str, Any]:
+        return {**measure(yardstick, *words), "psnr": 30.0 - lead_db * (pipeline.outer == 4)}
+
+    monkeypatch.setattr(Yardstick, "measure", scripted)
+    pipeline.train()
+    told = [event for event in events if event.event == "decision" and event.data["item"] == "kept state"]
+    assert bool(told) is gone_back
 
 
 def test_a_slow_start_takes_nothing_from_the_rates(scene: Scene, monkeypatch: pytest.MonkeyPatch):

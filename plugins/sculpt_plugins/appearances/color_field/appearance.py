@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sculpt_framework.appearances import Appearance, bands, check_degree
+from sculpt_framework.appearances import Appearance
 from sculpt_framework.encodings.hash_grid import HashEncoding
 from sculpt_plugins.appearances.color_field.config import ColorFieldConfig
 
@@ -18,8 +18,7 @@ class ColorFieldAppearance(Appearance):
     """
 
     def __init__(self, config: ColorFieldConfig):
-        super().__init__()
-        check_degree(config.sh_degree)
+        super().__init__(config.sh_degree)
         self._config = config
         self._encoding = HashEncoding(
             levels=config.num_levels,
@@ -32,31 +31,20 @@ class ColorFieldAppearance(Appearance):
         )
 
     @property
-    def sh_degree(self) -> int:
-        return self._config.sh_degree
-
-    @property
     def learning_rates(self) -> dict[str, float]:
-        rates = {"residual_dc": self._config.residual_rate}
-        if self.sh_degree > 0:
-            rates["residual_rest"] = self._config.rest_rate
-        return rates
+        return {"residual_dc": self._config.residual_rate, **self.band_rates(self._config.rest_rate)}
 
     @property
     def inherits_rows(self) -> bool:
         return False
 
     def new_rows(self, means: Float[Tensor, "f k 3"]) -> dict[str, Tensor]:
-        rows = {"residual_dc": torch.zeros_like(means)}
-        if self.sh_degree > 0:
-            rows["residual_rest"] = means.new_zeros(*means.shape[:2], bands(self.sh_degree) - 1, 3)
-        return rows
+        return {"residual_dc": torch.zeros_like(means), **self.new_bands(means)}
 
     def forward(self, means: Float[Tensor, "f k 3"], rows: Mapping[str, Tensor]) -> Float[Tensor, "f k b 3"]:
         points = means.detach().reshape(-1, 3)
         encoded = self._encoding(points).reshape(*means.shape[:2], 4)
-        base = (encoded[..., :3] + rows["residual_dc"]).unsqueeze(2)
-        return base if self.sh_degree == 0 else torch.cat([base, rows["residual_rest"]], dim=2)
+        return self.with_bands(encoded[..., :3] + rows["residual_dc"], rows)
 
     def optimizer_groups(self) -> list[dict]:
         return [{"params": list(self._encoding.parameters()), "lr": self._config.rate}]

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sculpt_framework.appearances import Appearance, bands, check_degree
+from sculpt_framework.appearances import Appearance
 from sculpt_plugins.appearances.per_gaussian.config import PerGaussianConfig
 
 
@@ -14,34 +14,22 @@ class PerGaussianAppearance(Appearance):
     """Rows are the coefficients themselves. A new face inherits those of the nearest old one; the first are grey."""
 
     def __init__(self, config: PerGaussianConfig):
-        super().__init__()
-        check_degree(config.sh_degree)
+        super().__init__(config.sh_degree)
         self._config = config
 
     @property
-    def sh_degree(self) -> int:
-        return self._config.sh_degree
-
-    @property
     def learning_rates(self) -> dict[str, float]:
-        rates = {"sh_dc": self._config.rate}
-        if self.sh_degree > 0:
-            rates["sh_rest"] = self._config.rest_rate
-        return rates
+        return {"sh_dc": self._config.rate, **self.band_rates(self._config.rest_rate)}
 
     @property
     def inherits_rows(self) -> bool:
         return True
 
     def new_rows(self, means: Float[Tensor, "f k 3"]) -> dict[str, Tensor]:
-        rows = {"sh_dc": torch.zeros_like(means)}
-        if self.sh_degree > 0:
-            rows["sh_rest"] = means.new_zeros(*means.shape[:2], bands(self.sh_degree) - 1, 3)
-        return rows
+        return {"sh_dc": torch.zeros_like(means), **self.new_bands(means)}
 
     def forward(self, means: Float[Tensor, "f k 3"], rows: Mapping[str, Tensor]) -> Float[Tensor, "f k b 3"]:
-        base = rows["sh_dc"].unsqueeze(2)
-        return base if self.sh_degree == 0 else torch.cat([base, rows["sh_rest"]], dim=2)
+        return self.with_bands(rows["sh_dc"], rows)
 
     def optimizer_groups(self) -> list[dict]:
         return []

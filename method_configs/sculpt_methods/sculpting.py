@@ -41,8 +41,8 @@ def gaussian_sculpting() -> MethodConfig:
         constraints=(MeeScaleConfig(), BoundaryConfig(), SpacingConfig(), CoverageConfig()),
         observers=(ConsoleConfig(), RecorderConfig()),
         trainer=TrainerConfig(
-            outer_steps=160,
-            level_gain_db=0.1,
+            outer_steps=80,
+            level_gain_db=0.3,
             base_cells=32,
             warm_up_steps=120,
             ramp_steps=15,

@@ -1,6 +1,7 @@
 """Training images of a stage: cropped to the object, scaled, in the object frame."""
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import cv2
@@ -37,13 +38,14 @@ class TrainingImage:
 def prepare_image(view: View, box: Box, scale: float, device: torch.device, *, crop: bool = True) -> TrainingImage:
     """One view of a stage. ``scale`` is the image side relative to the input, at most 1."""
     camera = box.camera_to_object(view.camera)
-    rgb = view.rgb if view.alpha is None else view.rgb * view.alpha[..., None]
-    alpha = view.alpha
+    rgb, alpha = view.rgb, view.alpha
     if crop:
         x0, y0, x1, y1 = object_window(view, camera, box)
         camera = camera.crop(x0, y0, x1 - x0, y1 - y0)
         rgb = rgb[y0:y1, x0:x1]
         alpha = None if alpha is None else alpha[y0:y1, x0:x1]
+    if alpha is not None:
+        rgb = rgb * alpha[..., None]
     if scale < 1.0:
         width, height = max(1, round(camera.width * scale)), max(1, round(camera.height * scale))
         camera = camera.resized(width, height)
@@ -55,6 +57,12 @@ def prepare_image(view: View, box: Box, scale: float, device: torch.device, *, c
         premultiplied=rgb.to(device, torch.float32).contiguous(),
         alpha=None if alpha is None else alpha.to(device, torch.float32).contiguous(),
     )
+
+
+def prepare_images(views: Sequence[View], box: Box, scale: float, device: torch.device) -> list[TrainingImage]:
+    """All views of a stage, as many at a time as there are threads."""
+    with ThreadPoolExecutor(max_workers=torch.get_num_threads()) as pool:
+        return list(pool.map(lambda view: prepare_image(view, box, scale, device), views))
 
 
 def in_object_frame(view: View, box: Box) -> View:
@@ -77,11 +85,12 @@ def object_window(view: View, camera: Camera, box: Box) -> tuple[int, int, int, 
     """Columns and rows [x0, x1) x [y0, y1) that hold the object, with a margin; the whole image if nothing is known."""
     low, high = np.zeros(2), np.array([camera.width, camera.height], dtype=float)
     if view.alpha is not None:
-        rows, columns = np.nonzero(view.alpha.numpy() > 0.0)
+        covered = view.alpha.numpy() > 0.0
+        columns, rows = np.flatnonzero(covered.any(axis=0)), np.flatnonzero(covered.any(axis=1))
         if len(rows) == 0:
             return 0, 0, camera.width, camera.height
-        first = np.array([columns.min(), rows.min()], dtype=float)
-        last = np.array([columns.max() + 1, rows.max() + 1], dtype=float)
+        first = np.array([columns[0], rows[0]], dtype=float)
+        last = np.array([columns[-1] + 1, rows[-1] + 1], dtype=float)
     else:
         signs = torch.tensor([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=torch.float64)
         corners = signs * box.half_sides.double()

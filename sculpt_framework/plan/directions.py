@@ -6,7 +6,9 @@ highlight adds to all three channels. So what counts is by how much more a place
 """
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 
 import cv2
 import numpy as np
@@ -57,12 +59,13 @@ def gloss(views: Sequence[View], box: Box) -> Gloss | None:
     if len(masked) < _LEAST:
         return None
     posed = [replace(view, camera=box.camera_to_object(view.camera)) for view in masked]
-    small = [_reduced(view, _HULL_PIXELS) for view in spread(posed, _HULL_VIEWS)]
+    with ThreadPoolExecutor(max_workers=torch.get_num_threads()) as pool:
+        small = list(pool.map(partial(_reduced, pixels=_HULL_PIXELS), spread(posed, _HULL_VIEWS)))
+        pictures = list(pool.map(partial(_reduced, pixels=_PIXELS), spread(posed, _COLOR_VIEWS)))
     hull = sample(visual_hull(small, _HULL_VIEWS, _CPU), (1.0, 1.0, 1.0), _CELLS, _CPU)
     points, normals = _surface_points(hull)
     seen, colors = [], []
-    for view in spread(posed, _COLOR_VIEWS):
-        picture = _reduced(view, _PIXELS)
+    for picture in pictures:
         color, whole = _look_up(picture, points)
         place = picture.camera.position.float()
         facing = (functional.normalize(place - points, dim=1) * normals).sum(dim=1) > _FACING

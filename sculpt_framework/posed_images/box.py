@@ -6,6 +6,7 @@ against their projected radius, so that thin parts are never lost, however coars
 """
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import cv2
@@ -60,7 +61,8 @@ def fit_box(views: Sequence[View]) -> tuple[Box, str]:
 
     Raises DataError if no point in space agrees with the views.
     """
-    outlines = [_outline(view) for view in views]
+    with ThreadPoolExecutor(max_workers=torch.get_num_threads()) as pool:
+        outlines = list(pool.map(_outline, views))
     masked = sum(view.alpha is not None for view in views)
     center, distance = _looked_at(outlines)
     reach = max(o.radius / o.focal.min() * np.linalg.norm(center - o.position) for o in outlines)

@@ -70,9 +70,9 @@ def read_image(path: Path, *, orientation: int = 1, divide: int = 1) -> DecodedI
         raise DataError(f"{path}: {pixels.shape[2]} channels; expected grey, RGB or RGBA.")
     grey = pixels.shape[2] == 1
     scale = np.float32(1 / (2**bits - 1))
-    bgr = np.repeat(pixels, 3, axis=2) if grey else pixels[:, :, :3]
     alpha = pixels[:, :, 3].astype(np.float32) * scale if pixels.shape[2] == 4 else None
-    rgb = np.ascontiguousarray(bgr[:, :, ::-1]).astype(np.float32) * scale
+    code = {1: cv2.COLOR_GRAY2RGB, 3: cv2.COLOR_BGR2RGB, 4: cv2.COLOR_BGRA2RGB}[pixels.shape[2]]
+    rgb = np.multiply(cv2.cvtColor(pixels, code), scale, dtype=np.float32)
     if divide > 1:
         rgb, alpha = shrink(rgb, alpha, max(1, round(width / divide)), max(1, round(height / divide)))
     return DecodedImage(rgb=rgb, alpha=alpha, grey=grey, bits=bits, lossless=not jpeg, full_size=(width, height))

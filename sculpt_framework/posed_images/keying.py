@@ -56,8 +56,10 @@ def _border(image: Image) -> Float[np.ndarray, "n 3"]:
     return np.concatenate([side.reshape(-1, 3) for side in sides])
 
 
-def key_out(image: Image, background: Background) -> tuple[Image, Float[np.ndarray, "h w"]]:
-    """Straight colour and alpha of an image over a constant background.
+def key_out(image: Image, background: Background) -> Float[np.ndarray, "h w"]:
+    """Alpha of an image over a constant background; where it is neither 0 nor 1 the image gets its straight colour.
+
+    That is done in place: hundreds of photographs are not to be in memory twice.
 
     Background is what looks like it and is connected to the border, or forms a large enough enclosed hole, so that an
     object's own spots of that colour stay. On the outline a pixel is taken as a mixture of the background and of the
@@ -66,11 +68,11 @@ def key_out(image: Image, background: Background) -> tuple[Image, Float[np.ndarr
     behind = background.color.astype(image.dtype)
     similar = cv2.inRange(image, *(behind.astype(np.float64) + sign * background.tolerance for sign in (-1, 1))) > 0
     empty = _connected(similar)
-    rgb, alpha = image.copy(), (~empty).astype(image.dtype)
+    alpha = (~empty).astype(image.dtype)
     left, top, width, height = cv2.boundingRect((~empty).astype(np.uint8))
     around = slice(max(0, top - 1), top + height + 1), slice(max(0, left - 1), left + width + 1)
-    _mix(rgb[around], alpha[around], behind)
-    return rgb, alpha
+    _mix(image[around], alpha[around], behind)
+    return alpha
 
 
 def _mix(image: Image, alpha: Float[np.ndarray, "h w"], behind: Color) -> None:
@@ -83,7 +85,7 @@ def _mix(image: Image, alpha: Float[np.ndarray, "h w"], behind: Color) -> None:
     rim = whole & ~solid
     if not solid.any() or not rim.any():
         return
-    inner = image[solid][_nearest_index(solid)[rim]]
+    inner = image[_nearest(solid, rim)]
     span = inner - behind
     share = ((image[rim] - behind) * span).sum(1) / np.maximum((span * span).sum(1), 1e-6)
     alpha[rim] = np.clip(share, 0, 1)
@@ -93,7 +95,7 @@ def _mix(image: Image, alpha: Float[np.ndarray, "h w"], behind: Color) -> None:
 def _connected(similar: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
     """The parts of ``similar`` that touch the border or are large."""
     _, parts, stats, _ = cv2.connectedComponentsWithStats(similar.astype(np.uint8), connectivity=4)
-    labels = np.asarray(parts, np.int64)
+    labels = np.asarray(parts)
     height, width = similar.shape
     keep = stats[:, cv2.CC_STAT_AREA] >= max(16, _HOLE_SHARE * height * width)
     border = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
@@ -102,11 +104,12 @@ def _connected(similar: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
     return keep[labels]
 
 
-def _nearest_index(solid: Bool[np.ndarray, "h w"]) -> np.ndarray:
-    """For each pixel, which of the solid pixels (in row order) is nearest."""
+def _nearest(solid: Bool[np.ndarray, "h w"], wanted: Bool[np.ndarray, "h w"]) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns of the solid pixels nearest to the wanted ones, these in row order."""
     empty = (~solid).astype(np.uint8)
     _, sources = cv2.distanceTransformWithLabels(empty, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
-    labels = np.asarray(sources, np.int64)
-    rank = np.zeros(int(labels.max()) + 1, np.int64)
-    rank[labels[solid]] = np.arange(int(solid.sum()))
-    return rank[labels]
+    labels, places = np.asarray(sources), np.flatnonzero(solid)
+    place = np.zeros(int(labels.max()) + 1, np.int64)
+    place[labels.ravel()[places]] = places
+    rows, columns = np.divmod(place[labels[wanted]], solid.shape[1])
+    return rows, columns

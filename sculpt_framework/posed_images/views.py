@@ -216,8 +216,7 @@ def _with_alpha(image: DecodedImage, background: Background) -> DecodedImage:
     """An image that has an alpha stays as it is."""
     if image.alpha is not None:
         return image
-    rgb, alpha = key_out(image.rgb, background)
-    return replace(image, rgb=rgb, alpha=alpha)
+    return replace(image, alpha=key_out(image.rgb, background))
 
 
 def _view(item: PosedImage, camera: Camera, image: DecodedImage) -> View:

@@ -73,8 +73,8 @@ def train(request: argparse.Namespace, extra: list[str], count: int, seed: int, 
         events = [json.loads(line) for line in lines]
     rows = [each for each in events if each["event"] == "evaluation"]
     # The first row of a stage comes after the colours' warming up and before the surface first moves.
-    first = next(row for row in rows if row["reason"] == "stage")
-    last = next(row for row in rows if row["reason"] == "end of optimisation")
+    first = next(row for row in rows if row["data"]["reason"] == "stage")
+    last = next(row for row in rows if row["data"]["reason"] == "end of optimisation")
     passed = last["t_train"] - first["t_train"]
     with (out / "curve.csv").open() as lines:
         seconds = float(list(csv.DictReader(lines))[-1]["t_train_s"])

@@ -4,7 +4,7 @@
 
 DATA and OPTIONS are as for sculpt-train. Four runs of a few steps, each process with one thread (OMP_NUM_THREADS says
 otherwise): one process with a view per inner step, one process with as many as there will be processes, the processes
-with the same views, and the processes with as many views each as the one had. The model is made of the first two and
+with the same views, and the processes with as many views each as the one had. The model is made of the second and
 held against the third. The tables of docs/scaling.md are its output.
 """
 
@@ -103,7 +103,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         kinds = ((1, 1, 1), (1, count, 1), (count, count, 1), (count, count, count))
         runs = [start(request, extra, *kind, Path(folder) / "-".join(map(str, kind))) for kind in kinds]
-    foretold = foretell(*runs[:2], processes=count, per_sum=runs[2]["seconds_per_sum"])
+    foretold = foretell(runs[1], processes=count, per_sum=runs[2]["seconds_per_sum"])
     if request.json is not None:
         request.json.write_text(json.dumps({"runs": runs, "foretold": foretold}, indent=1))
     sys.stdout.write(report(runs, foretold))
@@ -194,13 +194,21 @@ def watch_parts(watch: Stopwatch, pipeline: Any, notes: dict[str, Any]) -> None:
         watch.wrap(kind, "__call__", "geometry terms")
     for kind in {type(each.term) for each in terms.constraints}:
         watch.wrap(kind, "__call__", "constraints")
-    walk, add = torch.autograd.backward, trainer.processes.reduce
+    walk, add, inner_loop = torch.autograd.backward, trainer.processes.reduce, trainer.inner_loop
+    behind = ["backward of the surface"]
 
-    def walk_surface(tensors: Any, *words: Any, **named: Any) -> None:
+    def walk_on(tensors: Any, *words: Any, **named: Any) -> None:
         if not isinstance(tensors, list):  # a view's, which is timed by the tensor's own method
             return walk(tensors, *words, **named)
-        with watch.of("backward of the surface"):
+        with watch.of(behind[-1]):
             return walk(tensors, *words, **named)
+
+    def inside(*words: Any, **named: Any) -> Any:
+        behind.append("colours and places")
+        try:
+            return inner_loop(*words, **named)
+        finally:
+            behind.pop()
 
     def reduce(parameters: Any, values: Any) -> Any:
         if watch.on:
@@ -209,7 +217,7 @@ def watch_parts(watch: Stopwatch, pipeline: Any, notes: dict[str, Any]) -> None:
         with watch.of("sum over processes"):
             return add(parameters, values)
 
-    torch.autograd.backward, trainer.processes.reduce = walk_surface, reduce
+    torch.autograd.backward, trainer.processes.reduce, trainer.inner_loop = walk_on, reduce, inside
     watch_steps(watch, trainer, notes)
 
 
@@ -255,21 +263,14 @@ def seconds_per_sum(processes: Any, size: int, device: Any) -> float:
     return sorted(took)[len(took) // 2]
 
 
-def foretell(one: Run, batched: Run, *, processes: int, per_sum: float) -> dict[str, float]:
-    """Seconds of the parts of an outer step of so many processes, from one process without and with batches.
-
-    ``one`` and ``batched`` render the same views; their inner steps are as many as views, and by ``processes`` fewer.
-    What differs between their backward passes is therefore what an inner step costs besides its views.
-    """
-    inner, outer = one["inner_views"], one["outer_views"]
+def foretell(batched: Run, *, processes: int, per_sum: float) -> dict[str, float]:
+    """Seconds of the parts of an outer step of so many processes, from one process with the same batches."""
+    inner, outer = batched["inner_views"], batched["outer_views"]
     steps = -(-inner // processes)
-    saved = one["seconds"]["backward of views"] - batched["seconds"]["backward of views"]
-    per_step = max(0.0, saved / (inner - steps)) if inner > steps else 0.0
     share = (steps + -(-outer // processes)) / (inner + outer)
     out = dict(batched["seconds"])
     for part in VIEW_PARTS:
-        fixed = per_step * steps if part == "backward of views" else 0.0
-        out[part] = fixed + (batched["seconds"][part] - fixed) * share
+        out[part] *= share
     out["sum over processes"] = (steps + 1) * per_sum
     return out
 

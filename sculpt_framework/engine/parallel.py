@@ -1,8 +1,8 @@
 """One object, several processes: which views each renders, and how what they found is put together.
 
 Every process holds the whole state and takes the same steps: it draws the same views and backgrounds, renders its share
-of them, and after gradients are added up each has the same ones, to the last bit, and does the same update. What
-depends on a clock, or is measured, the first process decides for all.
+of them, and after the gradients of the Gaussians are added up each has the same ones, to the last bit, carries them on
+and does the same update. What depends on a clock, or is measured, the first process decides for all.
 """
 
 from abc import ABC, abstractmethod
@@ -59,6 +59,10 @@ class Processes(ABC):
         """Give these tensors everywhere the values that they have in the first process."""
 
     @abstractmethod
+    def align(self, tensors: Sequence[Tensor]) -> None:
+        """``equalize`` where devices add up in no fixed order (CUDA), so that the same steps round differently."""
+
+    @abstractmethod
     def first(self, make: Callable[[], Value]) -> Value:
         """What the first process makes, which alone calls ``make``: JSON values, lists where it made tuples.
 
@@ -97,6 +101,9 @@ class Alone(Processes):
         return dict(terms)
 
     def equalize(self, tensors: Sequence[Tensor]) -> None:
+        pass
+
+    def align(self, tensors: Sequence[Tensor]) -> None:
         pass
 
     def first(self, make: Callable[[], Value]) -> Value:

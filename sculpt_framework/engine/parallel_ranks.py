@@ -101,6 +101,10 @@ class Ranks(Processes):
             for tensor in tensors:
                 dist.broadcast(tensor, src=0)
 
+    def align(self, tensors: Sequence[Tensor]) -> None:
+        if self._device.type == "cuda":
+            self.equalize(tensors)
+
     def first(self, make: Callable[[], Value]) -> Value:
         if not self.leads:
             return self._hear()

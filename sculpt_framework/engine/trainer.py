@@ -8,7 +8,7 @@ render it, and carry the images' gradient through Gaussians and faces into field
 
 import math
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
@@ -33,6 +33,10 @@ from sculpt_framework.rasterizers import Rasterizer
 from sculpt_framework.types import Gaussians, Rendering, Surface
 
 Term = TypeVar("Term")
+Drawn = tuple[TrainingImage, Float[Tensor, " 3"]]
+"""A view, and what is behind it."""
+_COLORS = "photometric"
+"""The inner loop's image term, in what it tells."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -164,17 +168,18 @@ class BiLevelTrainer:
         extraction, binding = settled.extraction, settled.binding
         views = stage.outer_views if self._config.gradient_isolation else stage.outer_views + stage.inner_steps
         self._zero_grad()
-        roots, gradients, terms = self._image_gradients(binding, images, stage, views)
+        joint = not self._config.gradient_isolation
+        gaussians = assemble(binding, self.scene.harmonics(binding.means, degree=self._degree(0), learn=joint))
+        seeing = self.objectives.silhouettes if stage.silhouette_only else self._awake()
+        walk, terms = self._see(gaussians, [self._draw(images) for _ in range(views)], seeing)
         seen = tuple(terms)
-        for name, term in self._surface_terms(extraction, binding, stage):
-            terms[name] = 0.0 if term is None else float(term.detach())
-            if term is not None and term.requires_grad:
-                roots.append(term)
-                gradients.append(torch.ones_like(term))
-        if roots:
-            # One walk through extraction and field for all terms together: it costs as much as a render.
-            torch.autograd.backward(roots, gradients)
-        terms = self.processes.reduce(self._taught(), terms)
+        for objective in self.objectives.geometry:
+            terms[objective.name] = walk.add(objective.weight * objective.term(extraction))
+        # Without an inner loop there is no other place to constrain the Gaussians in.
+        for constraint in self.objectives.constraints if joint and not stage.silhouette_only else ():
+            terms[constraint.name] = walk.add(constraint.weight * constraint.term(binding))
+        # One walk through extraction and field for all terms together: it costs as much as a render.
+        walk.back()
         self._check_terms(terms)
         self._check_gradients()
         if not stage.silhouette_only:
@@ -186,6 +191,8 @@ class BiLevelTrainer:
         for table in self.extractor.tables.values():
             table.step(surface_rate, still=frozen_rows(self.frozen, self.extractor.grid, table.keys))
         step_kept = self.trust.shorten(before, self.signed_distance, surface_rate)
+        rows = [leaf for table in self.extractor.tables.values() for leaf in table.leaves.values()]
+        self.processes.align([*self.optimizer.parameters, *rows, *self.scene.learning])
         self._check_shape()
         if not self._config.gradient_isolation:
             self.scene.step(rate_factor * self.gaussian_rate)
@@ -216,6 +223,7 @@ class BiLevelTrainer:
         bound = None if binding is None else binding.detach()
         total, kept = 0.0, True
         batch = self._config.inner_batch or self.processes.count
+        colors = [Weighted(name=_COLORS, weight=1.0, term=self.objectives.photometric)]
         for step in range(0, steps, batch):
             count = min(batch, steps - step)
             before, after = self.inner_total, self.inner_total + count
@@ -225,27 +233,15 @@ class BiLevelTrainer:
                 bound = self.scene.bind(surface, learn=learn_places)
             self.scene.zero_grad()
             gaussians = assemble(bound, self.scene.harmonics(bound.means, degree=self._degree(step), learn=True))
-            # Every process draws for all, so that all draw the same.
-            drawn = [self._draw(images) for _ in range(count)]
-            losses = []
-            for image, background in (drawn[number] for number in self.processes.share(count)):
-                rendering = self._render(gaussians, image, background)
-                losses.append(self.objectives.photometric(rendering, image.over(background)) / count)
-            terms = {"photometric": sum(float(loss.detach()) for loss in losses)}
+            walk, terms = self._see(gaussians, [self._draw(images) for _ in range(count)], colors)
             awake = [each for each in self.objectives.constraints if learn_places and self.resting.due(each.name)]
-            for number, constraint in enumerate(awake):
-                terms[constraint.name] = 0.0
-                if number in self.processes.share(len(awake)):
-                    losses.append(constraint.weight * constraint.term(bound))
-                    terms[constraint.name] = float(losses[-1].detach())
-            teaching = [loss for loss in losses if loss.requires_grad]
-            if teaching:
-                torch.stack(teaching).sum().backward()
-            terms = self.processes.reduce(self.scene.learning, terms)
+            for constraint in awake:
+                terms[constraint.name] = walk.add(constraint.weight * constraint.term(bound))
+            walk.back()
             self._check_terms(terms)
             for constraint in awake:
-                self.resting.saw(constraint.name, terms[constraint.name], terms["photometric"])
-            total += terms["photometric"] * count
+                self.resting.saw(constraint.name, terms[constraint.name], terms[_COLORS])
+            total += terms[_COLORS] * count
             self.scene.step(self.gaussian_rate * (1.0 if not self._config.warm_start else rate_factor))
             if learn_places:
                 bound, kept = None, False
@@ -264,59 +260,34 @@ class BiLevelTrainer:
         self.seeds = self.extraction.cells
         return self.extraction
 
-    def _image_gradients(
-        self, binding: Binding, images: Sequence[TrainingImage], stage: StageConfig, views: int
-    ) -> tuple[list[Tensor], list[Tensor], dict[str, float]]:
-        """The connected tensors of the Gaussians, the mean gradient of the views' image terms by them, and the terms.
+    def _see(
+        self, gaussians: Gaussians, drawn: Sequence[Drawn], objectives: Sequence[Weighted[ImageLoss]]
+    ) -> tuple["_Walk", dict[str, float]]:
+        """The mean gradient of the views' image terms by the Gaussians, from where it goes on, and the terms.
 
-        Each view's graph ends at the Gaussians and is freed before the next view is rendered.
+        Each view's graph ends at the Gaussians and is freed before the next view is rendered. That is where processes
+        add up: Gaussians have far fewer numbers than what they are made of, and from here all go on alike.
         """
-        joint = not self._config.gradient_isolation
-        sh = self.scene.harmonics(binding.means, degree=self._degree(0), learn=joint)
-        connected = assemble(binding, sh)
-        gathered = as_leaves(connected)
-        objectives = self.objectives.silhouettes if stage.silhouette_only else self._awake()
+        leaves = as_leaves(gaussians)
         terms = {objective.name: 0.0 for objective in objectives}
-        mine = self.processes.share(views)
-        for number in range(views):
-            # Every process draws for all, so that all draw the same.
-            image, background = self._draw(images)
-            if number not in mine:
-                continue
-            rendering, target = self._render(gathered, image, background), image.over(background)
+        for number in self.processes.share(len(drawn)):
+            image, background = drawn[number]
+            rendering, target = self._render(leaves, image, background), image.over(background)
             loss = rendering.alpha.new_zeros(())
             for objective in objectives:
                 term = objective.weight * objective.term(rendering, target)
-                terms[objective.name] += float(term.detach()) / views
+                terms[objective.name] += float(term.detach()) / len(drawn)
                 loss = loss + term
             if loss.requires_grad:
-                (loss / views).backward()
-        roots, gradients = [], []
-        for value, leaf in tensor_pairs(connected, gathered):
+                (loss / len(drawn)).backward()
+        pairs = [(value, leaf) for value, leaf in tensor_pairs(gaussians, leaves) if leaf.requires_grad]
+        terms = self.processes.reduce([leaf for _, leaf in pairs], terms)
+        walk = _Walk()
+        for value, leaf in pairs:
             if leaf.grad is not None:
-                roots.append(value)
-                gradients.append(leaf.grad)
-        return roots, gradients, terms
-
-    def _surface_terms(
-        self, extraction: Extraction, binding: Binding, stage: StageConfig
-    ) -> Iterator[tuple[str, Tensor | None]]:
-        """Weighted terms that look at no image, by name; None where another process has it."""
-        joint = not self._config.gradient_isolation and not stage.silhouette_only
-        # Without an inner loop there is no other place to constrain the Gaussians in.
-        constraints = self.objectives.constraints if joint else ()
-        mine = self.processes.share(len(self.objectives.geometry) + len(constraints))
-        for number, objective in enumerate(self.objectives.geometry):
-            yield objective.name, objective.weight * objective.term(extraction) if number in mine else None
-        for number, constraint in enumerate(constraints, start=len(self.objectives.geometry)):
-            yield constraint.name, constraint.weight * constraint.term(binding) if number in mine else None
-
-    def _taught(self) -> list[Tensor]:
-        """What learns in an outer step."""
-        parameters: list[Tensor] = [*self.optimizer.parameters]
-        for table in self.extractor.tables.values():
-            parameters += table.learning
-        return parameters if self._config.gradient_isolation else parameters + self.scene.learning
+                walk.roots.append(value)
+                walk.gradients.append(leaf.grad)
+        return walk, terms
 
     def _note_rest(self, terms: Mapping[str, float]) -> None:
         """Of image terms, what they came to."""
@@ -383,8 +354,8 @@ class BiLevelTrainer:
             self.view_order = torch.randperm(count, generator=self._generator).tolist()
         return self.view_order.pop()
 
-    def _draw(self, images: Sequence[TrainingImage]) -> tuple[TrainingImage, Float[Tensor, " 3"]]:
-        """The next view, and what is behind it."""
+    def _draw(self, images: Sequence[TrainingImage]) -> Drawn:
+        """The next view. Every process draws for all, so that all draw the same."""
         image = images[self._next_view(len(images))]
         return image, self._background(image)
 
@@ -392,6 +363,25 @@ class BiLevelTrainer:
         if self._config.random_background and image.alpha is not None:
             return torch.rand(3, generator=self._generator).to(image.premultiplied)
         return torch.ones(3).to(image.premultiplied)
+
+
+class _Walk:
+    """Tensors that a walk back through a graph starts from, each with its gradient."""
+
+    def __init__(self) -> None:
+        self.roots: list[Tensor] = []
+        self.gradients: list[Tensor] = []
+
+    def add(self, term: Float[Tensor, ""]) -> float:
+        """Start from this term, too, if anything can learn from it. Returns its value."""
+        if term.requires_grad:
+            self.roots.append(term)
+            self.gradients.append(torch.ones_like(term))
+        return float(term.detach())
+
+    def back(self) -> None:
+        if self.roots:
+            torch.autograd.backward(self.roots, self.gradients)
 
 
 def _require_finite(tensor: Tensor, what: str) -> None:

@@ -95,7 +95,7 @@ def _mix(image: Image, alpha: Float[np.ndarray, "h w"], behind: Color) -> None:
 def _connected(similar: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
     """The parts of ``similar`` that touch the border or are large."""
     _, parts, stats, _ = cv2.connectedComponentsWithStats(similar.astype(np.uint8), connectivity=4)
-    labels = np.asarray(parts)
+    labels = np.asarray(parts, np.int32)
     height, width = similar.shape
     keep = stats[:, cv2.CC_STAT_AREA] >= max(16, _HOLE_SHARE * height * width)
     border = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
@@ -108,7 +108,7 @@ def _nearest(solid: Bool[np.ndarray, "h w"], wanted: Bool[np.ndarray, "h w"]) ->
     """Rows and columns of the solid pixels nearest to the wanted ones, these in row order."""
     empty = (~solid).astype(np.uint8)
     _, sources = cv2.distanceTransformWithLabels(empty, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
-    labels, places = np.asarray(sources), np.flatnonzero(solid)
+    labels, places = np.asarray(sources, np.int32), np.flatnonzero(solid)
     place = np.zeros(int(labels.max()) + 1, np.int64)
     place[labels.ravel()[places]] = places
     rows, columns = np.divmod(place[labels[wanted]], solid.shape[1])

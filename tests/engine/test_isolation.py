@@ -63,9 +63,9 @@ def image_gradients(parts: Parts, images: list[TrainingImage], surface: Surface)
     """Backward of one view's images terms from Gaussians bound to ``surface``; what arrived at shape parameters."""
     trainer = parts.trainer
     binding = trainer.scene.bind(surface, learn=False)
-    roots, gradients, _ = trainer._image_gradients(binding, images, STAGE, 2)
-    if roots:
-        torch.autograd.backward(roots, gradients)
+    gaussians = assemble(binding, trainer.scene.harmonics(binding.means, degree=0, learn=False))
+    walk, _ = trainer._see(gaussians, [trainer._draw(images) for _ in range(2)], trainer.objectives.images)
+    walk.back()
     return [parameter.grad for parameter in shape_parameters(parts).values() if parameter.grad is not None]
 
 

@@ -5,7 +5,7 @@ import signal
 import subprocess
 import threading
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
 
@@ -14,6 +14,8 @@ from sculpt_framework.leash import die_with_parent
 
 GRACE_SECONDS = 25.0
 """How long an interrupted run may take to save: Slurm kills 30 s after it has asked."""
+
+_LISTEN_SECONDS = 1.0
 
 
 def carry(command: Sequence[str], log: str, environment: Mapping[str, str]) -> int:
@@ -24,9 +26,10 @@ def carry(command: Sequence[str], log: str, environment: Mapping[str, str]) -> i
     """
     die_with_parent()
     with _terminate_as_interrupt():
-        process = start_process(command, Path(log), {**os.environ, **environment})
+        with _heeding_interrupts():
+            process = start_process(command, Path(log), {**os.environ, **environment})
         try:
-            return process.wait()
+            return _wait(process)
         except KeyboardInterrupt:
             process.send_signal(signal.SIGINT)
             return _wait_or_kill(process)
@@ -36,12 +39,29 @@ def carry(command: Sequence[str], log: str, environment: Mapping[str, str]) -> i
                 process.wait()
 
 
+def _wait(process: subprocess.Popen[bytes]) -> int:
+    """Until it ends. Ray interrupts Python, not the system call that a wait without end would be."""
+    while True:
+        with suppress(subprocess.TimeoutExpired):
+            return process.wait(_LISTEN_SECONDS)
+
+
 def _wait_or_kill(process: subprocess.Popen[bytes]) -> int:
     try:
         return process.wait(GRACE_SECONDS)
     except subprocess.TimeoutExpired:
         process.kill()
         return process.wait()
+
+
+@contextmanager
+def _heeding_interrupts() -> Iterator[None]:
+    """Processes inherit which signals are blocked, and Ray's workers block SIGINT: a run would never hear of it."""
+    blocked = signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
 
 
 @contextmanager

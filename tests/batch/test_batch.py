@@ -184,6 +184,17 @@ def test_a_carrier_reports_how_the_run_ended(tmp_path: Path):
     assert carry((sys.executable, "-S", "-c", "import os; os.kill(os.getpid(), 9)"), str(log), {}) == KILLED
 
 
+def test_a_run_hears_of_interrupts_though_its_worker_blocks_them(tmp_path: Path):
+    log, ask = tmp_path / "run.log", "import signal as s; print(s.SIGINT in s.pthread_sigmask(s.SIG_BLOCK, ()))"
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        assert carry((sys.executable, "-S", "-c", ask), str(log), {}) == 0
+        assert signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    assert log.read_text() == "False\n"
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [

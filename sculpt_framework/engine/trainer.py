@@ -191,11 +191,11 @@ class BiLevelTrainer:
         for table in self.extractor.tables.values():
             table.step(surface_rate, still=frozen_rows(self.frozen, self.extractor.grid, table.keys))
         step_kept = self.trust.shorten(before, self.signed_distance, surface_rate)
+        self._check_shape()
+        if joint:
+            self.scene.step(rate_factor * self.gaussian_rate)
         rows = [leaf for table in self.extractor.tables.values() for leaf in table.leaves.values()]
         self.processes.align([*self.optimizer.parameters, *rows, *self.scene.learning])
-        self._check_shape()
-        if not self._config.gradient_isolation:
-            self.scene.step(rate_factor * self.gaussian_rate)
         return StepReport(
             loss=sum(terms.values()),
             terms=terms,

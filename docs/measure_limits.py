@@ -1,4 +1,4 @@
-"""What few sides and few cells do to a result: the table of docs/limits.md, and a picture of error by resolution.
+"""What few sides and few cells do to a result: the tables and the picture of docs/limits.md.
 
     python docs/measure_limits.py views [--scenes demo:dents ...] [--seen-from above front] [--max-time 180] [--out DIR]
                                         [--starts sphere visual-hull photo-hull] [--fields hash-grid mlp]

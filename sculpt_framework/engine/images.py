@@ -1,7 +1,6 @@
 """Training images of a stage: cropped to the object, scaled, in the object frame."""
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import cv2
@@ -11,6 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sculpt_framework.losses import Target
+from sculpt_framework.threads import in_threads
 from sculpt_framework.types import Box, Camera, View
 
 _MARGIN_SHARE = 0.06
@@ -61,8 +61,7 @@ def prepare_image(view: View, box: Box, scale: float, device: torch.device, *, c
 
 def prepare_images(views: Sequence[View], box: Box, scale: float, device: torch.device) -> list[TrainingImage]:
     """All views of a stage, as many at a time as there are threads."""
-    with ThreadPoolExecutor(max_workers=torch.get_num_threads()) as pool:
-        return list(pool.map(lambda view: prepare_image(view, box, scale, device), views))
+    return in_threads(lambda view: prepare_image(view, box, scale, device), views)
 
 
 def in_object_frame(view: View, box: Box) -> View:

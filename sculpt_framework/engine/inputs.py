@@ -2,13 +2,12 @@
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
-import torch
 
 from sculpt_framework.errors import DataError
+from sculpt_framework.threads import in_threads
 from sculpt_framework.types import Scene, View
 
 
@@ -39,9 +38,8 @@ def file_digest(path: Path) -> str:
 
 
 def _images(views: Sequence[View]) -> str:
-    with ThreadPoolExecutor(max_workers=torch.get_num_threads()) as pool:
-        lines = pool.map(_digest, views)
-        return hashlib.sha256("".join(f"{line}\n" for line in lines).encode("ascii")).hexdigest()
+    lines = in_threads(_digest, views)
+    return hashlib.sha256("".join(f"{line}\n" for line in lines).encode("ascii")).hexdigest()
 
 
 def _digest(view: View) -> str:

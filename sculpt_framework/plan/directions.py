@@ -6,7 +6,6 @@ highlight adds to all three channels. So what counts is by how much more a place
 """
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -20,6 +19,7 @@ from torch.nn import functional
 from sculpt_framework.extractors import SdfFunction
 from sculpt_framework.shape_from_images.hull import visual_hull
 from sculpt_framework.shape_from_images.volume import Volume, sample
+from sculpt_framework.threads import in_threads
 from sculpt_framework.types import Box, Camera, View
 
 _CPU = torch.device("cpu")
@@ -59,9 +59,8 @@ def gloss(views: Sequence[View], box: Box) -> Gloss | None:
     if len(masked) < _LEAST:
         return None
     posed = [replace(view, camera=box.camera_to_object(view.camera)) for view in masked]
-    with ThreadPoolExecutor(max_workers=torch.get_num_threads()) as pool:
-        small = list(pool.map(partial(_reduced, pixels=_HULL_PIXELS), spread(posed, _HULL_VIEWS)))
-        pictures = list(pool.map(partial(_reduced, pixels=_PIXELS), spread(posed, _COLOR_VIEWS)))
+    small = in_threads(partial(_reduced, pixels=_HULL_PIXELS), spread(posed, _HULL_VIEWS))
+    pictures = in_threads(partial(_reduced, pixels=_PIXELS), spread(posed, _COLOR_VIEWS))
     hull = sample(visual_hull(small, _HULL_VIEWS, _CPU), (1.0, 1.0, 1.0), _CELLS, _CPU)
     points, normals = _surface_points(hull)
     seen, colors = [], []

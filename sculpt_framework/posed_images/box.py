@@ -6,7 +6,6 @@ against their projected radius, so that thin parts are never lost, however coars
 """
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import cv2
@@ -15,6 +14,7 @@ import torch
 from jaxtyping import Bool, Float, UInt8
 
 from sculpt_framework.errors import DataError
+from sculpt_framework.threads import in_threads
 from sculpt_framework.types import Box, View
 
 _CELLS = 32  # Along each axis, while the box shrinks.
@@ -61,8 +61,7 @@ def fit_box(views: Sequence[View]) -> tuple[Box, str]:
 
     Raises DataError if no point in space agrees with the views.
     """
-    with ThreadPoolExecutor(max_workers=torch.get_num_threads()) as pool:
-        outlines = list(pool.map(_outline, views))
+    outlines = in_threads(_outline, views)
     masked = sum(view.alpha is not None for view in views)
     center, distance = _looked_at(outlines)
     reach = max(o.radius / o.focal.min() * np.linalg.norm(center - o.position) for o in outlines)

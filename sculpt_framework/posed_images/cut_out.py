@@ -9,11 +9,9 @@ twice; a last cut, at more pixels, only decides along the outlines.
 Rother, Kolmogorov, Blake: "GrabCut", SIGGRAPH 2004; the implementation is OpenCV's.
 """
 
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TypeVar
 
 import cv2
 import numpy as np
@@ -22,6 +20,7 @@ from jaxtyping import Bool, Float32, Float64, UInt8
 
 from sculpt_framework.errors import DataError
 from sculpt_framework.posed_images.box import fit_box
+from sculpt_framework.threads import in_threads
 from sculpt_framework.types import Box, Camera, View
 
 _COARSE, _FINE = 160, 400
@@ -41,7 +40,6 @@ _LEAST = 0.002
 """A mask of less than this share of the image shows nothing."""
 Trimap = UInt8[np.ndarray, "h w"]
 Mask = Bool[np.ndarray, "h w"]
-Item = TypeVar("Item")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -71,7 +69,7 @@ def cut_out(views: Sequence[View], test: Sequence[View], seed: Box) -> tuple[lis
     masks: list[Mask] = []
     for _ in range(2):
         colors = _learn(bare, box)
-        masks = _each(partial(_coarse, box=box, colors=colors), bare)
+        masks = in_threads(partial(_coarse, box=box, colors=colors), bare)
         found = [_masked(view, mask) for view, mask in zip(bare, masks, strict=True) if mask.mean() >= _LEAST]
         if not found and not given:
             raise DataError(
@@ -79,7 +77,7 @@ def cut_out(views: Sequence[View], test: Sequence[View], seed: Box) -> tuple[lis
                 "or say where the object is with --dataset.box."
             )
         box, told = _tightened([*given, *found], box)
-    fine = _each(lambda pair: _fine(pair[0], pair[1], box, colors), list(zip(bare, masks, strict=True)))
+    fine = in_threads(lambda pair: _fine(pair[0], pair[1], box, colors), list(zip(bare, masks, strict=True)))
     done = {id(view): _masked(view, mask) for view, mask in zip(bare, fine, strict=True)}
     train = [done.get(id(view), view) for view in views]
     seen = [view for view in train if view.alpha is not None and float(view.alpha.mean()) >= _LEAST]
@@ -98,11 +96,6 @@ def _tightened(masked: Sequence[View], seed: Box) -> tuple[Box, str]:
     except DataError:
         return seed, ", though the first cuts contradict each other"
     return Box(minimum=torch.maximum(box.minimum, seed.minimum), maximum=torch.minimum(box.maximum, seed.maximum)), ""
-
-
-def _each(work: Callable[[Item], Mask], items: Sequence[Item]) -> list[Mask]:
-    with ThreadPoolExecutor(max_workers=torch.get_num_threads()) as pool:
-        return list(pool.map(work, items))
 
 
 def _learn(views: Sequence[View], box: Box) -> _Colors:

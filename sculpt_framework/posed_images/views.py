@@ -19,6 +19,7 @@ from sculpt_framework.posed_images.headers import ImageHeader, read_headers
 from sculpt_framework.posed_images.keying import Background, common_background, given_background, key_out
 from sculpt_framework.posed_images.lens import Pinhole
 from sculpt_framework.posed_images.masks import read_mask
+from sculpt_framework.threads import in_threads
 from sculpt_framework.types import Camera, View
 
 BackgroundOption = Literal["auto", "white", "black", "none"]
@@ -206,8 +207,7 @@ def _key(images: list[DecodedImage], split: int, background: BackgroundOption) -
     else:
         behind = given_background(_COLORS[background], colors, lossless)
         found = "background as given"
-    with ThreadPoolExecutor(max_workers=torch.get_num_threads()) as pool:
-        keyed = list(pool.map(partial(_with_alpha, background=behind), images))
+    keyed = in_threads(partial(_with_alpha, background=behind), images)
     r, g, b = behind.color
     return keyed, f"{some}: {found}, sRGB ({r:.2f}, {g:.2f}, {b:.2f}), is keyed out to make one."
 

@@ -1,7 +1,6 @@
 """The visual hull as a signed distance, to a fraction of a pixel."""
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +13,7 @@ from sculpt_framework.cpu_kernels import kernel_cache, share_threads
 from sculpt_framework.errors import DataError
 from sculpt_framework.extractors import SdfFunction
 from sculpt_framework.shape_from_images.packing import covered_window
+from sculpt_framework.threads import in_threads
 from sculpt_framework.types import Camera, View
 
 with kernel_cache("hull", Path(__file__).with_name("hull_kernels.py")):
@@ -88,8 +88,7 @@ class _Outlines:
 
 def _outlines(views: Sequence[tuple[Camera, Float[Tensor, "_ _"]]]) -> _Outlines:
     views = [_cropped(camera, alpha) for camera, alpha in views]
-    with ThreadPoolExecutor(max_workers=torch.get_num_threads()) as pool:
-        distances = list(pool.map(lambda view: signed_mask_distance(view[1]).numpy(), views))
+    distances = in_threads(lambda view: signed_mask_distance(view[1]).numpy(), views)
     # A row and a column more: every pixel has neighbours to interpolate with.
     padded = [np.pad(distance, ((0, 1), (0, 1)), mode="edge").reshape(-1) for distance in distances]
     counts = np.array([len(pixels) for pixels in padded], np.int64)

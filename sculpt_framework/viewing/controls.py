@@ -91,6 +91,7 @@ class Controls:
         box = self._stage.box
         if box is None or self._gizmo is not None:
             return
+        self._stage.hide_gaussians()
         low, high = box
         side = _FIRST_SHARE * float((high - low).max())
         # Out of the middle, towards where a page looks from: there it is seen.

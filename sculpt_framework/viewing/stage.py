@@ -90,6 +90,11 @@ class Stage:
         """Called instead if they cannot be read."""
         self._cameras.text.content = f"No photographs: {reason}"
 
+    def hide_gaussians(self) -> None:
+        """Show the mesh in place of the Gaussians, which a page paints over the handles of a box."""
+        if self._splats_on.value:
+            self._splats_on.value, self._mesh_on.value = False, True
+
     def update(self) -> None:
         """Bring the scene up to date with the run's files and the switches."""
         changed = self._changed.is_set()

@@ -188,9 +188,14 @@ def test_weights_and_rates_have_their_effect(run: Run, chromium: Chromium):
 def test_a_box_that_is_dragged_refines_freezes_and_ignores(run: Run, chromium: Chromium):
     page = chromium.open(run.address)
     page.wait_for("Steer")
+    if not page.is_on("Gaussians"):
+        page.click("Gaussians")
     page.click("Steer")
     page.click("Place a box")
     page.wait_for("Refine here")
+    page.click("Scene")
+    eventually(lambda: not page.is_on("Gaussians"))  # they would be painted over its handles
+    page.click("Steer")
     run.wait_for_steps(1)
     page.screenshot(PICTURES / "box.png")
     before = run.last_faces()

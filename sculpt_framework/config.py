@@ -138,9 +138,9 @@ class TrainerConfig:
     narrower, larger ones take their place. Default: all cells of a stage are alike."""
     final_rate: float = 0.05
     """Share of their start to which learning rates fall, exponentially, over the run."""
-    settle_steps: int = 0
-    """Outer steps after which the surface's rates are at most half of what they began with: at most
-    1 / (1 + steps / this), however long the run, so that time it has left goes into refining. 0: no bound."""
+    surface_steps: float = 0.0
+    """What the surface's rates, as shares of their start, add up to over the run at most: the longer it is, the sooner
+    they fall, so that time goes into refining. 0: no bound."""
     level_gain_db: float = 0.0
     """Under ``--max-time``, end sooner once twice the time of the last stage gains less on the held-out views, but not
     before ``outer_steps``; 0: take all the time there is."""

@@ -45,7 +45,7 @@ def _check_trainer(trainer: TrainerConfig) -> None:
     _require(trainer.holdout_every >= 0, "trainer.holdout-every", trainer.holdout_every, "0 or more")
     _require(trainer.fit_steps >= 0, "trainer.fit-steps", trainer.fit_steps, "0 or more")
     _require(trainer.warm_up_steps >= 0, "trainer.warm-up-steps", trainer.warm_up_steps, "0 or more")
-    _require(trainer.settle_steps >= 0, "trainer.settle-steps", trainer.settle_steps, "0 or more")
+    _require(trainer.surface_steps >= 0, "trainer.surface-steps", trainer.surface_steps, "0 or more")
     _require(trainer.ramp_steps >= 1, "trainer.ramp-steps", trainer.ramp_steps, "1 or more")
     _require(trainer.trust_cells >= 0, "trainer.trust-cells", trainer.trust_cells, "0 or more")
     _require(trainer.polish_steps >= 0, "trainer.polish-steps", trainer.polish_steps, "0 or more")

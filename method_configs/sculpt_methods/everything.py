@@ -163,7 +163,7 @@ def gaussian_sculpting_everything() -> MethodConfig:
             fit_steps=200,
             warm_up_steps=40,
             ramp_steps=15,
-            settle_steps=0,
+            surface_steps=0.0,
             polish_steps=100,
             checkpoint_seconds=60.0,
         ),

@@ -46,7 +46,7 @@ def gaussian_sculpting() -> MethodConfig:
             base_cells=32,
             warm_up_steps=120,
             ramp_steps=15,
-            settle_steps=40,
+            surface_steps=44.0,
             # One stage: what the initializer knows is finer than coarser cells could hold.
             stages=(StageConfig(share=1.0, level=2, image_scale=1.0, inner_steps=4, outer_views=4),),
         ),

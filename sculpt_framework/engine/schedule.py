@@ -1,7 +1,10 @@
 """Where a run stands: progress from 0 to 1, the stage it is in, and what follows from that."""
 
+import math
 import time
 from collections.abc import Sequence
+
+from scipy.special import lambertw
 
 from sculpt_framework.config import StageConfig, TrainerConfig
 
@@ -29,7 +32,7 @@ class Schedule:
         self._stages: Sequence[StageConfig] = config.stages
         self._steps = config.outer_steps
         self._final_rate = config.final_rate
-        self._settle_steps = config.settle_steps
+        self._full_steps = config.surface_steps
         self._deadline = deadline
         self._began: float | None = None
         self._done_before = 0.0
@@ -85,7 +88,19 @@ class Schedule:
 
     def surface_rate(self, rate: float, outer: int) -> float:
         """What of a factor on learning rates the surface gets after so many outer steps of this run."""
-        return rate if self._settle_steps == 0 else min(rate, 1.0 / (1.0 + outer / self._settle_steps))
+        progress = self.progress(outer)
+        if self._full_steps == 0 or outer == 0 or progress == 0:
+            return rate
+        return min(rate, 1.0 / (1.0 + progress * settling(outer / progress, self._full_steps)))
+
+
+def settling(steps: float, full: float) -> float:
+    """The x for which 1 / (1 + x p), over ``steps`` steps with p going from 0 to 1, adds up to ``full``; at least 0.
+
+    That is log(1 + x) / x = full / steps.
+    """
+    share = full / steps
+    return 0.0 if share >= 1.0 else -float(lambertw(-share * math.exp(-share), -1).real) / share - 1.0
 
 
 class Pace:

@@ -33,13 +33,32 @@ def test_rates_fall_to_the_share_that_was_asked_for():
     assert rates == sorted(rates, reverse=True)
 
 
-def test_the_surface_settles_however_long_the_run():
-    assert Schedule(small_config(settle_steps=0).trainer, None).surface_rate(0.9, 10_000) == 0.9
-    schedule = Schedule(small_config(settle_steps=40).trainer, time.monotonic() + 1e6)
-    assert schedule.surface_rate(1.0, 0) == 1.0
-    assert schedule.surface_rate(1.0, 40) == pytest.approx(0.5)
-    assert schedule.surface_rate(0.3, 40) == 0.3
-    assert schedule.surface_rate(1.0, 360) == pytest.approx(0.1)
+@pytest.mark.parametrize("steps", [60, 80, 400, 20_000])
+def test_the_surface_settles_however_long_the_run(steps: int):
+    assert Schedule(small_config(surface_steps=0.0).trainer, None).surface_rate(0.9, 10_000) == 0.9
+    schedule = Schedule(small_config(surface_steps=40.0, outer_steps=steps).trainer, None)
+    rates = [schedule.surface_rate(1.0, outer) for outer in range(steps)]
+    assert rates[0] == 1.0
+    assert rates == sorted(rates, reverse=True)
+    assert sum(rates) == pytest.approx(40, rel=0.03)
+    assert schedule.surface_rate(0.01 * rates[-1], steps) == 0.01 * rates[-1]
+
+
+def test_a_short_run_keeps_its_rates():
+    schedule = Schedule(small_config(surface_steps=40.0, outer_steps=40).trainer, None)
+    assert [schedule.surface_rate(0.5, outer) for outer in (0, 20, 40)] == [0.5, 0.5, 0.5]
+
+
+def test_with_a_deadline_the_pace_says_how_many_steps_there_will_be(monkeypatch: pytest.MonkeyPatch):
+    now = 0.0
+    monkeypatch.setattr(time, "monotonic", lambda: now)
+    timed = Schedule(small_config(surface_steps=40.0).trainer, deadline=100.0)
+    counted = Schedule(small_config(surface_steps=40.0, outer_steps=400).trainer, None)
+    assert timed.surface_rate(1.0, 3) == 1.0
+    timed.begin()
+    for step in (0, 20, 200, 400):
+        now = step / 4
+        assert timed.surface_rate(1.0, step) == pytest.approx(counted.surface_rate(1.0, step))
 
 
 def test_time_makes_progress_and_has_its_own_shares(monkeypatch: pytest.MonkeyPatch):

@@ -92,7 +92,7 @@ def test_without_texture_the_hull_stays(views):
 
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_few_views_give_the_hull(views, count, caplog):
-    """So few have no neighbours to be compared with."""
+    """So few have no neighbours to be compared with, and leave too much unseen to guess at it."""
     caplog.set_level("INFO", "sculpt")
     (target,) = PhotoHullConfig(cells=32, pixels=32, depths=16).build().targets(views[:count], HALF_SIDES, CPU)
     hull = visual_hull(views[:count], 100, CPU)

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from sculpt_framework.extractors import SdfFunction
 from sculpt_framework.initializers import Initializer
+from sculpt_framework.shape_from_images.closing import close_unseen
 from sculpt_framework.shape_from_images.depth_maps import SweepOptions, find_depths, refine_depths
 from sculpt_framework.shape_from_images.fusion import carve
 from sculpt_framework.shape_from_images.hull import visual_hull
@@ -49,14 +50,19 @@ class PhotoHull(Initializer):
             agreeing=config.agreeing,
         )
         maps = find_depths(packed, solid, options)
+        shape = solid
         if maps.known == 0.0:
             why = "no views stand close enough to each other to compare their colours: start from the visual hull"
             logging.getLogger("sculpt").info(why)
+        else:
+            for level in range(config.refinements):
+                finer = pack_views(chosen, float(2**level * config.pixels))
+                packed, maps = finer, refine_depths(finer, packed, maps, options)
+            shape = carve(solid, packed, maps, config.margin * maps.step)
+        shape = close_unseen(shape, packed.positions)
+        if shape is solid:
             return
-        for level in range(config.refinements):
-            finer = pack_views(chosen, float(2**level * config.pixels))
-            packed, maps = finer, refine_depths(finer, packed, maps, options)
-        carved = carve(solid, packed, maps, config.margin * maps.step).interpolator(device)
+        carved = shape.interpolator(device)
 
         def photo_hull(points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
             return torch.maximum(carved(points), hull(points))

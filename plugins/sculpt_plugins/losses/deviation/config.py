@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 class DeviationConfig(LossConfig):
     """FlexiCubes L_dev: dual vertices about equally far from their crossing points."""
 
-    weight: float = 0.25
+    weight: float = 0.02
     """Factor in the outer loss."""
 
     def build(self) -> "Deviation":

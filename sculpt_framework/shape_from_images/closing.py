@@ -41,7 +41,7 @@ def close_unseen(solid: Volume, positions: Float32[np.ndarray, "v 3"]) -> Volume
     closed = _least_bending(vertices, faces, unseen)
     if not np.isfinite(closed).all():
         # Triangles are sound, but the library's factorisation may still fail.
-        logging.getLogger("sculpt").warning("the far side cannot be rounded off; it stays as the lines of sight have it")
+        logging.getLogger("sculpt").warning("the far side cannot be rounded off; it stays what the outlines leave")
         return solid
     reach = float(np.linalg.norm(closed - vertices, axis=1).max())
     if reach < _WORTH * solid.cell:

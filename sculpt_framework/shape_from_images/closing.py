@@ -35,10 +35,13 @@ def close_unseen(solid: Volume, positions: Float32[np.ndarray, "v 3"]) -> Volume
     ``solid`` itself if less than half a cell would change, or if more than a quarter of the surface is not seen.
     """
     vertices, faces = _triangles(solid)
-    unseen = _unseen(vertices, faces, positions)
+    if not len(faces):
+        return solid
+    adjacency = igl.adjacency_matrix(faces)
+    unseen = _unseen(vertices, faces, adjacency, positions)
     if not 0 < unseen.sum() <= _MOST * len(unseen):
         return solid
-    closed = _least_bending(vertices, faces, unseen)
+    closed = _least_bending(vertices, faces, adjacency, unseen)
     if not np.isfinite(closed).all():
         # Triangles are sound, but the library's factorisation may still fail.
         logging.getLogger("sculpt").warning("the far side cannot be rounded off; it stays what the outlines leave")
@@ -70,17 +73,17 @@ def _triangles(solid: Volume) -> tuple[Float[np.ndarray, "n 3"], Int64[np.ndarra
 
 
 def _unseen(
-    vertices: Float[np.ndarray, "n 3"], faces: Int64[np.ndarray, "f 3"], positions: Float32[np.ndarray, "v 3"]
+    vertices: Float[np.ndarray, "n 3"],
+    faces: Int64[np.ndarray, "f 3"],
+    adjacency: sparse.csc_matrix,
+    positions: Float32[np.ndarray, "v 3"],
 ) -> Bool[np.ndarray, " n"]:
     """Whether a vertex lies in a patch of the surface that faces away from all positions."""
-    if not len(faces):
-        return np.zeros(len(vertices), bool)
     normals = np.asarray(igl.per_vertex_normals(vertices, faces))
     best = np.full(len(vertices), -1.0)
     for position in positions.astype(np.float64):
         sight = position - vertices
         best = np.maximum(best, np.einsum("ij,ij->i", sight, normals) / np.linalg.norm(sight, axis=1))
-    adjacency = igl.adjacency_matrix(faces)
     neighbours = np.maximum(np.asarray(adjacency.sum(axis=1)).reshape(-1), 1)
     share = (best < _FACING).astype(np.float64)
     for _ in range(_BLUR):
@@ -92,10 +95,13 @@ def _unseen(
 
 
 def _least_bending(
-    vertices: Float[np.ndarray, "n 3"], faces: Int64[np.ndarray, "f 3"], free: Bool[np.ndarray, " n"]
+    vertices: Float[np.ndarray, "n 3"],
+    faces: Int64[np.ndarray, "f 3"],
+    adjacency: sparse.csc_matrix,
+    free: Bool[np.ndarray, " n"],
 ) -> Float[np.ndarray, "n 3"]:
     """Vertices, those that are free where the surface bends least. Solves for these and some rings around only."""
-    adjacency, part = igl.adjacency_matrix(faces), free
+    part = free
     for _ in range(_RINGS):
         part = part | (adjacency @ part.astype(np.float64) > 0)
     own, numbers = np.unique(faces[part[faces].all(axis=1)], return_inverse=True)

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 WORDS = (
-    "--method gaussian-sculpting-tiny --scenes demo --factors constraints isolation --equal steps --budget 4 --out out "
+    "--method gaussian-sculpting-tiny --scenes demo --factors constraints isolation --equal steps --budget 8 --out out "
     "-- --dataset demo --dataset.resolution 48 --dataset.train-views 10 --dataset.test-views 2 "
     "--trainer.fit-steps 30 --trainer.polish-steps 4 --binder.gaussians-per-face 3"
 )
@@ -28,7 +28,5 @@ def test_an_ablation_is_run_and_not_run_again(tmp_path: Path):
     with open(tmp_path / "out" / "results.csv", encoding="utf-8") as lines:
         rows = {row["setting"]: row for row in csv.DictReader(lines)}
     assert {row["status"] for row in rows.values()} == {"finished"}
-    assert {row["outer"] for row in rows.values()} == {"4"}
-    # Four steps move the surface so little that one measure alone may be the same to its last digit.
-    measures = ("chamfer", "fscore", "normal_consistency")
-    assert len({tuple(rows[name][each] for each in measures) for name in ("default", "none", "no-isolation")}) == 3
+    assert {row["outer"] for row in rows.values()} == {"8"}
+    assert len({rows[name]["chamfer"] for name in ("default", "none", "no-isolation")}) == 3

@@ -164,7 +164,8 @@ class TrainerConfig:
     fit_steps: int = 200
     """Steps of fitting the field to the initial surface."""
     warm_up_steps: int = 0
-    """Inner steps before the surface first moves: what has no colour yet pulls it wrong ways."""
+    """Inner steps before the surface first moves: what has no colour yet pulls it wrong ways. Under a time limit they
+    take a quarter of it at most."""
     ramp_steps: int = 1
     """Outer steps over which the surface's rates grow to their full size: Adam's first steps are as long for noise as
     for what matters, and would roughen a good start."""

@@ -1,4 +1,4 @@
-"""Whether a stage's images and steps will fit into memory, before they are made.
+"""Whether there is memory for a stage's images and steps, before they are made, and time for any.
 
 What the system does about a process that takes too much is to swap for hours or to kill it without a word.
 """
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import torch
 
-from sculpt_framework.config import StageConfig
+from sculpt_framework.config import MethodConfig, StageConfig
 from sculpt_framework.engine.images import object_window
 from sculpt_framework.engine.trainer import BiLevelTrainer
 from sculpt_framework.errors import TrainingFailed
@@ -33,6 +33,15 @@ class Sizes:
     cells: int
     """That the surface passes through."""
     gaussians: int
+
+
+def check_time(progress: float, config: MethodConfig, warn: Callable[[str], None]) -> None:
+    """Warn if the time a run is given is over, with its start just made."""
+    if config.max_time is not None and progress >= 1.0:
+        warn(
+            f"--max-time {config.max_time:g} was over before the start was made; the surface stays as that is, and has "
+            "hardly had time for colours. Give it more time, or fewer or smaller images"
+        )
 
 
 def sizes(trainer: BiLevelTrainer, pixels: int) -> Sizes:

@@ -86,8 +86,7 @@ class Pipeline:
         """The surface training ended with, in the object frame; the Gaussians' rows are on it."""
         self._best: tuple[float, dict[str, Tensor]] | None = None
         self._last_good: dict[str, Tensor] | None = None
-        self._rate_scale = 1.0
-        self._recoveries = 0
+        self._rate_scale, self._recoveries = 1.0, 0
         self._pace = Pace()
         self._last_checkpoint = time.monotonic()
 
@@ -107,6 +106,7 @@ class Pipeline:
         if resume is None:
             self._start()
             self._schedule.begin()
+            foresight.check_time(self._schedule.progress(0), self.config, self.warn)
         else:
             self._resume(*resume)
         first = self._trainer.processes.first
@@ -177,7 +177,7 @@ class Pipeline:
 
     def _step(self, stage: StageConfig, progress: float) -> None:
         rate = self._rate(progress)
-        settled = self._trainer.settle(self._images, stage, rate)
+        settled = self._trainer.settle(self._images, stage, rate, self._schedule.warm)
         # Here a surface has colours of its own, measuring it costs no extraction, and the clock has gone on.
         progress = self._trainer.processes.first(lambda: self._schedule.progress(self.outer))
         measured = self._measure_if_due(settled.surface.detach(), progress)
@@ -239,9 +239,9 @@ class Pipeline:
 
     def _keep_better(self, progress: float, *, trainable: bool = True) -> float | None:
         """Go back to the best state if the last, settled if it can be, is worse. Returns the psnr of the one kept."""
-        surface, stage = None, self.config.trainer.stages[self._stage_index]
+        surface, stage, rate = None, self.config.trainer.stages[self._stage_index], self._rate(progress)
         if trainable:
-            surface = self._trainer.settle(self._images, stage, self._rate(progress)).surface.detach()
+            surface = self._trainer.settle(self._images, stage, rate, self._schedule.warm).surface.detach()
         self._evaluate("end of optimisation", progress, surface or self._follow_surface())
         latest = self._milestones.latest("psnr")
         if self._best is None or latest is None or self._best[0] <= latest + _MARGIN_DB:

@@ -10,6 +10,8 @@ from sculpt_framework.config import StageConfig, TrainerConfig
 
 _LEFT = 0.2
 """Of a run that is cut short: its rates fall to the end within it."""
+_WARM = 0.25
+"""Of the time given: before the surface first moves, colours learn for no more of it."""
 
 
 class Schedule:
@@ -57,6 +59,10 @@ class Schedule:
             return self._done_before
         span = self._deadline - self._began
         return 1.0 if span <= 0 else min(1.0, self._done_before + (time.monotonic() - self._began) / span)
+
+    def warm(self) -> bool:
+        """Whether colours have had the time there is for them before the first outer step."""
+        return self._deadline is not None and self.progress(0) >= _WARM
 
     def cut_short(self) -> float | None:
         """Have a fifth of the run left: what it is from now on, by what it was. None if no more is left anyway.

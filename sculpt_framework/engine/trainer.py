@@ -8,7 +8,7 @@ render it, and carry the images' gradient through Gaussians and faces into field
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
@@ -37,6 +37,8 @@ Drawn = tuple[TrainingImage, Float[Tensor, " 3"]]
 """A view, and what is behind it."""
 _COLORS = "photometric"
 """The inner loop's image term, in what it tells."""
+_CHUNK, _LEAST_WARM_UP = 10, 30
+"""Colour steps between two looks at the clock while colours are warmed up, and those that there are in any case."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,8 +136,16 @@ class BiLevelTrainer:
 
     # -- the two levels: an outer step is settle, then update --------------------------------------------------
 
-    def settle(self, images: Sequence[TrainingImage], stage: StageConfig, rate_factor: float) -> Settled:
+    def settle(
+        self,
+        images: Sequence[TrainingImage],
+        stage: StageConfig,
+        rate_factor: float,
+        warm: Callable[[], bool] = lambda: False,
+    ) -> Settled:
         """Extract the current surface and fit the Gaussians to it in the inner loop; rows and colours change.
+
+        The first time colours are warmed up before, at full rates, until ``warm`` says that it has to be enough.
 
         Raises EmptySurfaceError, and FloatingPointError if the inner objective or a Gaussian is not finite.
         """
@@ -148,9 +158,9 @@ class BiLevelTrainer:
         inner_loss, inner_began = None, time.perf_counter()
         binding = self.scene.bind(surface, learn=not self._config.gradient_isolation)
         if self._config.gradient_isolation and not stage.silhouette_only:
-            first = self._config.warm_up_steps if self.inner_total == 0 else 0
-            inner_loss, kept = self.inner_loop(surface, images, first + stage.inner_steps, rate_factor, binding)
-            if not kept:
+            warmed = self._warm_up(surface, images, binding, warm) if self.inner_total == 0 else binding
+            inner_loss, kept = self.inner_loop(surface, images, stage.inner_steps, rate_factor, warmed)
+            if warmed is None or not kept:
                 binding = self.scene.bind(surface, learn=False)
         seconds = time.perf_counter() - inner_began
         self._check_scene()
@@ -247,6 +257,19 @@ class BiLevelTrainer:
                 bound, kept = None, False
             self.inner_total = after
         return (total / steps if steps else None), kept
+
+    def _warm_up(
+        self, surface: Surface, images: Sequence[TrainingImage], binding: Binding, warm: Callable[[], bool]
+    ) -> Binding | None:
+        """Inner steps before the surface first moves. Returns the binding, None if it is no longer the surface's."""
+        steps, chunk = self._config.warm_up_steps, _CHUNK * (self._config.inner_batch or self.processes.count)
+        bound: Binding | None = binding
+        for done in range(0, steps, chunk):
+            if done >= _LEAST_WARM_UP and self.processes.first(warm):
+                break
+            _, kept = self.inner_loop(surface, images, min(chunk, steps - done), 1.0, bound)
+            bound = bound if kept else None
+        return bound
 
     def signed_distance(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
         return signed_distance(self.field, self.frozen, points, margin=2 * self.extractor.grid.cell)

@@ -28,6 +28,7 @@ from sculpt_framework.engine.pipeline import Pipeline
 from sculpt_framework.engine.run import load_finished, run, run_status
 from sculpt_framework.engine.state import Progress
 from sculpt_framework.engine.steering import Steering
+from sculpt_framework.engine.trainer import BiLevelTrainer
 from sculpt_framework.errors import CheckpointError, OutputError, TrainingFailed
 from sculpt_framework.evaluation.certificate import certify
 from sculpt_framework.evaluation.curve import read_curve
@@ -158,7 +159,6 @@ def test_an_earlier_state_is_kept_if_it_is_clearly_better(
 def test_a_slow_start_takes_nothing_from_the_rates(scene: Scene, monkeypatch: pytest.MonkeyPatch):
     """A tenth of the time given is gone when optimisation begins; it begins with full rates."""
     from sculpt_framework.engine import pipeline as pipeline_module
-    from sculpt_framework.engine.trainer import BiLevelTrainer
 
     fit, settle = pipeline_module.fit_to_views, BiLevelTrainer.settle
     rates: list[float] = []
@@ -167,9 +167,9 @@ def test_a_slow_start_takes_nothing_from_the_rates(scene: Scene, monkeypatch: py
         time.sleep(6.0)
         return fit(*arguments)
 
-    def watched(trainer: BiLevelTrainer, images: Any, stage: Any, rate: float) -> Any:
+    def watched(trainer: BiLevelTrainer, images: Any, stage: Any, rate: float, warm: Any) -> Any:
         rates.append(rate)
-        return settle(trainer, images, stage, rate)
+        return settle(trainer, images, stage, rate, warm)
 
     monkeypatch.setattr(pipeline_module, "fit_to_views", slow_fit)
     monkeypatch.setattr(BiLevelTrainer, "settle", watched)
@@ -284,7 +284,6 @@ class Poison:
     seen: int = 0
 
     def install(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        from sculpt_framework.engine.trainer import BiLevelTrainer
 
         original = BiLevelTrainer.update
 
@@ -460,3 +459,22 @@ def test_a_checkpoint_of_other_components_is_one_line(scene: Scene):
     saved = stopped_after(small_config(), scene, 2)
     with pytest.raises(CheckpointError, match=r"does not fit the run's config\.json"):
         Pipeline(small_config(appearance=PerGaussianConfig()), scene=scene).train(saved)
+
+
+def test_a_start_that_takes_all_the_time_is_told_of(scene: Scene, monkeypatch: pytest.MonkeyPatch):
+    """What is left is colours, for a few steps, which learn as they do at the beginning of a run."""
+    inner_loop, rates = BiLevelTrainer.inner_loop, list[float]()
+
+    def watched(trainer: BiLevelTrainer, surface: Any, images: Any, steps: int, rate: float, binding: Any) -> Any:
+        rates.append(rate)
+        return inner_loop(trainer, surface, images, steps, rate, binding)
+
+    monkeypatch.setattr(BiLevelTrainer, "inner_loop", watched)
+    events: list[Event] = []
+    config = small_config(max_time=1.0, warm_up_steps=300, polish_steps=0)
+    Pipeline(config, scene=scene, emit=events.append, started=time.monotonic() - 60.0).train()
+    [warning] = [event.data["message"] for event in events if event.event == "warning"]
+    assert warning.startswith("--max-time 1 was over before the start was made")
+    assert events[-1].outer == 0
+    assert events[-1].data["inner"] == 30 + config.trainer.stages[0].inner_steps
+    assert rates == [1.0, 1.0, 1.0, config.trainer.final_rate]

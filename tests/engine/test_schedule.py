@@ -49,6 +49,19 @@ def test_a_short_run_keeps_its_rates():
     assert [schedule.surface_rate(0.5, outer) for outer in (0, 20, 40)] == [0.5, 0.5, 0.5]
 
 
+def test_colours_are_warmed_up_for_a_quarter_of_the_time_at_most(monkeypatch: pytest.MonkeyPatch):
+    now = 0.0
+    monkeypatch.setattr(time, "monotonic", lambda: now)
+    timed, counted = (Schedule(small_config().trainer, deadline) for deadline in (100.0, None))
+    now = 20.0
+    for schedule in (timed, counted):
+        schedule.begin()
+    for instant, warm in ((20.0, False), (39.0, False), (41.0, True), (200.0, True)):
+        now = instant
+        assert timed.warm() is warm
+        assert not counted.warm()
+
+
 def test_with_a_deadline_the_pace_says_how_many_steps_there_will_be(monkeypatch: pytest.MonkeyPatch):
     now = 0.0
     monkeypatch.setattr(time, "monotonic", lambda: now)

@@ -9,7 +9,7 @@ from sculpt_framework.evaluation.drawing import Bar, Dot, Drawing, Line, Path, S
 from sculpt_framework.evaluation.triangle_quality import Histogram
 
 WIDTH, HEIGHT = 460.0, 290.0
-_LEFT, _RIGHT, _TOP, _BOTTOM = 68.0, 14.0, 58.0, 48.0
+_LEFT, _RIGHT, _TOP, _BOTTOM = 76.0, 14.0, 58.0, 48.0
 _TOP_ALONE = 36.0
 """Under the title, where no legend comes between."""
 COLORS = ("#1f6fb4", "#c8553d", "#3a8f5c", "#8a5fb0", "#b8860b", "#c2528b", "#2a9d9d", "#555555")

@@ -1,6 +1,6 @@
 """What an outer step takes on the band, and on uniform grids that keep everything at every corner and cell.
 
-    python docs/measure_uniform.py DATA [DATA ...] [--grids band box cube] [--threads 2] [-- OPTIONS]
+    python docs/measure_uniform.py DATA [DATA ...] [--grids band box cube] [-- OPTIONS]
 
 DATA and OPTIONS are as for sculpt-train. Each scene is reconstructed by the default method once per kind of grid, all
 with cells of the same size:

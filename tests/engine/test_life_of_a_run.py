@@ -284,7 +284,6 @@ class Poison:
     seen: int = 0
 
     def install(self, monkeypatch: pytest.MonkeyPatch) -> None:
-
         original = BiLevelTrainer.update
 
         def update(trainer: BiLevelTrainer, *arguments: object) -> object:

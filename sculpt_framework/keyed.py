@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
 from sculpt_framework.adam import EPS, move_rows
+from sculpt_framework.geometry.keys import locate
 
 
 class KeyedTable:
@@ -40,18 +41,15 @@ class KeyedTable:
 
     def locate(self, keys: Int64[Tensor, " m"]) -> tuple[Int64[Tensor, " m"], Bool[Tensor, " m"]]:
         """Row of each key and whether it is in the table; the row of an absent key is arbitrary but valid."""
-        if len(self) == 0:
-            return torch.zeros_like(keys), torch.zeros_like(keys, dtype=torch.bool)
-        ascending = bool((self.keys[1:] > self.keys[:-1]).all())
-        ordered, order = (self.keys, None) if ascending else self.keys.sort()
-        slot = torch.searchsorted(ordered, keys).clamp_(max=len(self) - 1)
-        return slot if order is None else order[slot], ordered[slot] == keys
+        # An empty table is on the CPU, wherever its rows will be.
+        return locate(self.keys.to(keys.device), keys)
 
     def rekey(
         self,
         keys: Int64[Tensor, " m"],
         new_rows: Mapping[str, Float[Tensor, "m ..."]],
         heirs: tuple[Int64[Tensor, " p"], Int64[Tensor, " p"]] | None = None,
+        located: tuple[Int64[Tensor, " m"], Bool[Tensor, " m"]] | None = None,
     ) -> None:
         """Make ``keys`` the table's keys, in this order.
 
@@ -61,13 +59,15 @@ class KeyedTable:
         ``heirs`` are pairs of a row of ``keys``, of a key the table does not have, and a row of the table. Such a key
         starts not with its new row but with the mean of the rows and of the optimiser state paired with it, and with as
         many steps as the oldest of them has.
+
+        ``located`` is what ``locate`` says of the keys, if that is known.
         """
         if set(new_rows) != set(self.learning_rates):
             raise ValueError(f"rows {sorted(new_rows)} do not match parameters {sorted(self.learning_rates)}")
         if not self.learning_rates:
             self.keys, self._steps = keys.clone(), torch.zeros(keys.shape[0], device=keys.device)
             return
-        row, known = self.locate(keys)
+        row, known = self.locate(keys) if located is None else located
         new, had_rows = (~known).nonzero()[:, 0], len(self) > 0
         if heirs is not None and len(heirs[0]) == 0:
             heirs = None

@@ -17,7 +17,6 @@ from sculpt_framework.geometry.band import (
     corners_of,
     crossing_weight,
     discover,
-    find,
     levels_of,
     parents,
     track,
@@ -54,6 +53,12 @@ def test_cases_are_bits_of_the_inside_corners():
     inside = torch.zeros(1, 8, dtype=torch.bool)
     inside[0, [1, 6]] = True
     assert cases_of(inside).tolist() == [0b01000010]
+    every = torch.arange(256)
+    signs = (every[:, None] >> torch.arange(8) & 1).bool()
+    assert torch.equal(cases_of(signs), every)
+    # Also of rows that do not lie one after the other in memory.
+    assert torch.equal(cases_of(signs.T.contiguous().T), every)
+    assert cases_of(signs[:0]).tolist() == []
 
 
 def test_children_fill_their_parents():
@@ -71,13 +76,6 @@ def test_corners_are_shared():
     assert len(corners) == 12
     assert torch.equal(rows[0, 1::2], rows[1, 0::2])
     assert unpack_ijk(corners[rows[1, 6]][None]).tolist() == [[2, 2, 2]]
-
-
-def test_find():
-    row, there = find(torch.tensor([2, 5, 9]), torch.tensor([9, 3, 2, 11]))
-    assert there.tolist() == [True, False, True, False]
-    assert row[there].tolist() == [2, 0]
-    assert find(torch.empty(0, dtype=torch.int64), torch.tensor([1]))[1].tolist() == [False]
 
 
 @pytest.mark.parametrize("points_per_call", [100, 1 << 18])

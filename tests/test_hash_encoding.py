@@ -40,6 +40,24 @@ def _points(count: int = 500) -> torch.Tensor:
 
 
 @pytest.mark.parametrize("features", [1, 2, 3, 4, 5])
+def test_points_that_nobody_asks_teach_nothing(features: int):
+    """Rows of no gradient are passed over in the kernel; rows with a gradient in one feature only are not."""
+    encoding = _encoding(features=features)
+    points = _points()
+    asked = torch.arange(len(points)) % 3 == 0
+    weights = torch.randn(len(points), 4 * features, generator=torch.Generator().manual_seed(2))
+    weights[asked, : 4 * features - 1] = 0.0
+    weights[~asked] = 0.0
+    (encoding(points) * weights).sum().backward()
+    among_all = [table.grad.clone() for table in encoding.tables]
+    encoding.zero_grad()
+    (encoding(points[asked]) * weights[asked]).sum().backward()
+    for table, expected in zip(encoding.tables, among_all, strict=True):
+        assert torch.equal(table.grad, expected)
+    assert bool(among_all[-1].any())
+
+
+@pytest.mark.parametrize("features", [1, 2, 3, 4, 5])
 @pytest.mark.parametrize("log2_table", [4, 10, 16])
 @pytest.mark.parametrize("sum_levels", [False, True])
 def test_compiled_is_the_twin(features: int, log2_table: int, sum_levels: bool):

@@ -91,6 +91,12 @@ def encode_level(points, table, resolution, column, out):
 def _differentiate_table(points, resolution, column, features, to_out, to_table):
     entries = to_table.shape[0]
     for n in range(points.shape[0]):
+        # Of a surface's Gaussians one view shows less than half; what the others say is not asked.
+        wanted = False
+        for f in range(features):
+            wanted |= to_out[n, column + f] != _ZERO
+        if not wanted:
+            continue
         fx, fy, fz, (r0, r1, r2, r3, r4, r5, r6, r7) = _corners(points, n, resolution, entries)
         gx, gy, gz = _ONE - fx, _ONE - fy, _ONE - fz
         w0, w1, w2, w3 = gy * gz, fy * gz, gy * fz, fy * fz

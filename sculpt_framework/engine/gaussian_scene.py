@@ -53,18 +53,19 @@ class GaussianScene:
         corners = surface.vertices[surface.faces]
         keys = surface.face_keys
         count, device, dtype = len(keys), corners.device, corners.dtype
-        self.geometry_rows.rekey(keys, self.binder.new_rows(count, device, dtype))
+        # Both tables have the same keys: they are looked up once.
+        located = self.geometry_rows.locate(keys)
+        self.geometry_rows.rekey(keys, self.binder.new_rows(count, device, dtype), located=located)
         centroids = corners.mean(dim=1)
         k = self.binder.gaussians_per_face
         new_rows = self.appearance.new_rows(centroids[:, None].expand(count, k, 3))
         if self.appearance.inherits_rows and self._centroids is not None:
-            _, known = self.appearance_rows.locate(keys)
-            fresh = (~known).nonzero()[:, 0]
+            fresh = (~located[1]).nonzero()[:, 0]
             if len(fresh) > 0:
                 lender = _nearest_faces(self.appearance_rows.keys, self._centroids, keys[fresh], centroids[fresh])
                 for name, rows in new_rows.items():
                     rows[fresh] = self.appearance_rows.leaves[name].detach()[lender]
-        self.appearance_rows.rekey(keys, new_rows)
+        self.appearance_rows.rekey(keys, new_rows, located=located)
         self._centroids = centroids
 
     def bind(self, surface: Surface, *, learn: bool) -> Binding:

@@ -17,6 +17,7 @@ from torch import Tensor
 
 from sculpt_framework.extractors import EmptySurfaceError, SdfFunction
 from sculpt_framework.geometry.grid import AXIS_BITS, PART_BITS, PRIMITIVE_BITS, Grid, pack, unpack_ijk
+from sculpt_framework.geometry.keys import find, merging
 
 CornerSampler = Callable[[Tensor], tuple[Tensor, Tensor]]
 """Keys "m" of grid corners to their positions "m 3" (a deformation may have moved them) and signed distances "m"."""
@@ -101,14 +102,6 @@ def coarsened(cells: Int64[Tensor, " c"], level: int) -> Int64[Tensor, " d"]:
     return cells.unique()
 
 
-def find(ordered: Int64[Tensor, " n"], keys: Int64[Tensor, "*m"]) -> tuple[Int64[Tensor, "*m"], Bool[Tensor, "*m"]]:
-    """Row of each key in an ascending list and whether it is there; the row of an absent key means nothing."""
-    if ordered.shape[0] == 0:
-        return torch.zeros_like(keys), torch.zeros_like(keys, dtype=torch.bool)
-    row = torch.searchsorted(ordered, keys).clamp_(max=ordered.shape[0] - 1)
-    return row, ordered[row] == keys
-
-
 def corners_of(cells: Int64[Tensor, " c"]) -> tuple[Int64[Tensor, " n"], Int64[Tensor, "c 8"]]:
     """Keys of all corners of the cells, ascending and distinct, and the rows of each cell's eight."""
     keys = cells[:, None] + pack(0, corner_offsets(cells.device))
@@ -118,7 +111,10 @@ def corners_of(cells: Int64[Tensor, " c"]) -> tuple[Int64[Tensor, " n"], Int64[T
 
 def cases_of(inside: Bool[Tensor, "c 8"]) -> Int64[Tensor, " c"]:
     """The case of each cell from the signs of its corners."""
-    return (inside.long() << torch.arange(8, device=inside.device)).sum(dim=1)
+    # A row's eight bytes are one number; times this, byte n adds 2^(56 + n), and what else it adds stays below 2^56 or
+    # leaves the number.
+    gathered = inside.contiguous().view(torch.int64)[:, 0] * 0x0102040810204080
+    return gathered >> 56 & 255
 
 
 def crossing_weight(
@@ -208,20 +204,20 @@ def track(sample: CornerSampler, grid: Grid, seeds: Int64[Tensor, " s"], before:
         visited, frontier, closed = nothing, seeds.unique(), None
         corners, cell_corners = corners_of(frontier)
     while frontier.shape[0] > 0:
-        fresh = corners[~find(known, corners)[1]]
+        fresh = corners[~find(known, corners)[1]] if found else corners
         if fresh.shape[0] > 0:
             position, value = sample_corners(sample, grid, fresh, WALL_SDF * grid.cell)
             positions.append(position)
             values.append(value)
             number = torch.arange(len(fresh), device=fresh.device) + len(inside)
-            known, order = torch.cat([known, fresh]).sort()
-            sample_of = torch.cat([sample_of, number])[order]
+            order = merging(known, fresh)
+            known, sample_of = torch.cat([known, fresh])[order], torch.cat([sample_of, number])[order]
             inside = torch.cat([inside, value.detach() < 0])
-        samples = sample_of[find(known, corners)[0]][cell_corners]
+        samples = sample_of[find(known, corners)[0]][cell_corners] if found else cell_corners
         cases = cases_of(inside[samples])
         crossed = (cases > 0) & (cases < 255)
         found.append((frontier[crossed], samples[crossed], cases[crossed]))
-        visited = torch.cat([visited, frontier]).sort().values
+        visited = torch.cat([visited, frontier])[merging(visited, frontier)]
         # Every face whose corners differ in sign must have a cell on its other side; uniform cells have no such face.
         # Those of a cell that had this case in a closed band are among its cells, which have all been visited.
         if closed is not None:
@@ -234,8 +230,9 @@ def track(sample: CornerSampler, grid: Grid, seeds: Int64[Tensor, " s"], before:
 
     if sum(len(cells) for cells, _, _ in found) == 0:
         raise EmptySurfaceError(f"the signed distance has one sign at the corners of all {len(visited)} cells tried")
-    cells, order = torch.cat([cells for cells, _, _ in found]).sort()
-    samples = torch.cat([samples for _, samples, _ in found])[order]
+    cells = torch.cat([cells for cells, _, _ in found])
+    order = merging(found[0][0], cells[len(found[0][0]) :])
+    cells, samples = cells[order], torch.cat([samples for _, samples, _ in found])[order]
     used = torch.zeros_like(inside)
     used[samples] = True
     kept = used[sample_of]

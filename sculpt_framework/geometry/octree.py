@@ -21,8 +21,9 @@ import torch
 from jaxtyping import Bool, Int64
 from torch import Tensor
 
-from sculpt_framework.geometry.band import children, corner_offsets, find, levels_of, parents
+from sculpt_framework.geometry.band import children, corner_offsets, levels_of, parents
 from sculpt_framework.geometry.grid import MAX_CELLS_PER_AXIS, Grid, pack, unpack_ijk
+from sculpt_framework.geometry.keys import find
 
 AXES = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
 """Each axis with the two that follow it: right-handed."""

@@ -1,12 +1,14 @@
 """What only the CPU kernels promise; the rest is in test_backends.py."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
 from sculpt_framework.errors import DeviceError
 from sculpt_plugins.rasterizers.numba.config import NumbaRasterizerConfig
 from tests.rasterizers.backends import CPU
-from tests.rasterizers.splats import INPUTS, Splats, random_splats, rendered
+from tests.rasterizers.splats import INPUTS, Splats, random_splats, rendered, weighted
 
 
 @pytest.fixture
@@ -39,6 +41,28 @@ def test_deterministic_whatever_the_threads():
         results.append(rendered(rasterizer, _many_splats(), torch.float32))
     assert torch.equal(results[0][0].features, results[1][0].features)
     assert all(torch.equal(results[0][1][name], results[1][1][name]) for name in INPUTS)
+
+
+@pytest.mark.parametrize("channels", [1, 3, 6, 9, 17])
+def test_colours_alone_have_the_gradient_they_have_among_others(channels: int):
+    """The inner loop learns colours on Gaussians that stay: what their places would learn is left out."""
+    rasterizer = NumbaRasterizerConfig().build(CPU)
+    splats = random_splats(count=600, channels=channels, width=70, height=60, focal=70.0)
+    among_others = rendered(rasterizer, splats, torch.float32)[1]["features"]
+    fixed = [getattr(splats, name).float() for name in INPUTS[:4]]
+    features = splats.features.float().requires_grad_(True)
+    pose = splats.camera.world_to_camera.float()
+    output = rasterizer.rasterize(
+        *fixed,
+        features,
+        replace(splats.camera, world_to_camera=pose),
+        splats.background.float(),
+        low_pass_px2=splats.low_pass_px2,
+        alpha_max=splats.alpha_max,
+    )
+    weighted(output).backward()
+    assert bool(features.grad.any())
+    assert torch.equal(features.grad, among_others)
 
 
 def test_other_devices_are_refused():

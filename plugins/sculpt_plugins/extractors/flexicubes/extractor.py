@@ -8,8 +8,9 @@ from jaxtyping import Float, Int64
 from torch import Tensor
 
 from sculpt_framework.extractors import Extraction, RefiningExtractor, SdfFunction
-from sculpt_framework.geometry.band import Band, find, levels_of, track
+from sculpt_framework.geometry.band import Band, levels_of, track
 from sculpt_framework.geometry.grid import Grid, RefineBox, pack, unpack_ijk
+from sculpt_framework.geometry.keys import find
 from sculpt_framework.geometry.octree import corner_keys, heirs, vertex_level
 from sculpt_framework.geometry.octree_band import OctreeBand, grow_octree
 from sculpt_framework.geometry.octree_hold import HeldSurface, Hold

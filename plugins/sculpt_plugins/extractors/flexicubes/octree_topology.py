@@ -15,8 +15,9 @@ import torch
 from jaxtyping import Bool, Int64
 from torch import Tensor
 
-from sculpt_framework.geometry.band import find, levels_of, parents
+from sculpt_framework.geometry.band import levels_of, parents
 from sculpt_framework.geometry.grid import PART_BITS, unpack_ijk
+from sculpt_framework.geometry.keys import find
 from sculpt_framework.geometry.octree import AXES, EDGE_POINTS, along, key_steps, lattice_number, levels_in
 from sculpt_framework.geometry.octree_band import OctreeBand
 from sculpt_plugins.extractors.flexicubes.octree_cycles import square_tables

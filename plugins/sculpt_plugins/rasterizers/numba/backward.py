@@ -80,9 +80,11 @@ def assign_slots(seen, tiles, band_rows, part_starts, first_slot, bits, stride, 
 @njit(parallel=True, **OPTIONS)
 def composite_backward(
     records, bits, stride, lists, blocks, starts, kept, width, height, threads, band_rows, alpha_max,
-    image, alpha, depth, to_image, to_alpha, to_depth, with_depth, sums, sums_stride, queue,
+    image, alpha, depth, to_image, to_alpha, to_depth, with_depth, with_shape, sums, sums_stride, queue,
 ):  # fmt: skip
     """Add each contribution to its Gaussian's row of ``sums`` (see layout.py).
+
+    Without ``with_shape`` only the features' sums are formed: colours alone are learned.
 
     Front to back once more, with the same decisions as before. Of what lies behind a contribution only one number per
     pixel is needed: the rest of sum_i w_i (g . f_i), background included, which starts as g . image.
@@ -184,19 +186,20 @@ def composite_backward(
                             for c in range(_IN_FIRST_PASS, channels):
                                 own += load(state, PIXELS * (3 + c) + i) * copies(records, r + FEATURES + c)
                             store(weights, i, weight)
-                        own = weight * own
-                        rest = load(state, PIXELS + i) - own
-                        store(state, PIXELS + i, rest)
-                        s = own - rest * p / (_ONE - p)
-                        # At the ceiling alpha no longer depends on the Gaussian's shape and opacity.
-                        s = where_at_least(alpha_max, free, s, _ZERO)
-                        sum_one += s
-                        sx, su = s * dx, s * u
-                        sum_x += sx
-                        sum_u += su
-                        sum_xx += sx * dx
-                        sum_xu += sx * u
-                        sum_uu += su * u
+                        if with_shape:
+                            own = weight * own
+                            rest = load(state, PIXELS + i) - own
+                            store(state, PIXELS + i, rest)
+                            s = own - rest * p / (_ONE - p)
+                            # At the ceiling alpha no longer depends on the Gaussian's shape and opacity.
+                            s = where_at_least(alpha_max, free, s, _ZERO)
+                            sum_one += s
+                            sx, su = s * dx, s * u
+                            sum_x += sx
+                            sum_u += su
+                            sum_xx += sx * dx
+                            sum_xu += sx * u
+                            sum_uu += su * u
                     add_sums_of_8(sums, slot, sum_x, sum_u, sum_xx, sum_xu, sum_uu, sum_one, sum_depth, sum_0)
                     if channels > 1:
                         none = splat(_ZERO)

@@ -137,6 +137,17 @@ def _no_gradient(i, to_means, to_scales, to_rotations, to_opacities, to_features
 
 
 @njit(parallel=True, **_OPTIONS)
+def features_backward(first_slot, sums, to_features):
+    """Of ``project_backward`` only the features' gradients."""
+    for i in prange(to_features.shape[0]):
+        for c in range(to_features.shape[1]):
+            to_features[i, c] = _ZERO
+        for slot in range(first_slot[i], first_slot[i + 1]):
+            for c in range(to_features.shape[1]):
+                to_features[i, c] += sums[slot, SUM_FEATURES + c]
+
+
+@njit(parallel=True, **_OPTIONS)
 def project_backward(
     means, scales, rotations, opacities, pose, lens, low_pass, first_slot, sums,
     to_means, to_scales, to_rotations, to_opacities, to_features, to_pose,

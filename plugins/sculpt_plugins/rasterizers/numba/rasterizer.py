@@ -25,6 +25,8 @@ _BANDS = 16
 """Bands of tile rows where the sums must not depend on the number of threads."""
 _BANDS_PER_THREAD = 8
 _PARTS_PER_THREAD = 4
+_FEATURES_PLACE = 4
+"""Of the features, among the inputs of a rendering that take gradients."""
 
 
 class NumbaRasterizer(Rasterizer):
@@ -212,10 +214,17 @@ class _Rasterize(torch.autograd.Function):
     def backward(ctx, to_image, to_alpha, to_depth):  # pyright: ignore[reportIncompatibleMethodOverride]
         means, scales, rotations, opacities, pose, image, alpha, depth = ctx.saved_tensors
         job: _Job = ctx.job
-        sums, first_slot = _sums_over_pixels(job, ctx.drawn, (image, alpha, depth), (to_image, to_alpha, to_depth))
+        with_shape = any(needed for place, needed in enumerate(ctx.needs_input_grad[:6]) if place != _FEATURES_PLACE)
+        sums, first_slot = _sums_over_pixels(
+            job, ctx.drawn, (image, alpha, depth), (to_image, to_alpha, to_depth), with_shape
+        )
         count, channels = means.shape[0], image.shape[2]
+        to_features = torch.empty(count, channels)
+        if not with_shape:
+            projection.features_backward(first_slot, sums, to_features.numpy())
+            return None, None, None, None, to_features, None, None, None
         to_means, to_scales, to_rotations = torch.empty(count, 3), torch.empty(count, 3), torch.empty(count, 3, 3)
-        to_opacities, to_features = torch.empty(count), torch.empty(count, channels)
+        to_opacities = torch.empty(count)
         to_pose_parts = np.empty((_POSE_PARTS if ctx.needs_input_grad[5] else 0, 3, 4))
         projection.project_backward(
             _array(means), _array(scales), _array(rotations), _array(opacities), _array(pose), job.lens, job.low_pass,
@@ -230,7 +239,11 @@ class _Rasterize(torch.autograd.Function):
 
 
 def _sums_over_pixels(
-    job: _Job, drawn: _Drawn, images: tuple[Tensor, ...], gradients: tuple[Tensor | None, ...]
+    job: _Job,
+    drawn: _Drawn,
+    images: tuple[Tensor, ...],
+    gradients: tuple[Tensor | None, ...],
+    with_shape: bool,
 ) -> tuple[np.ndarray, np.ndarray]:
     """(rows of sums as in layout.py; where each Gaussian's rows begin, and the end)."""
     (image, alpha, depth), (to_image, to_alpha, to_depth) = (_array(tensor) for tensor in images), gradients
@@ -251,7 +264,7 @@ def _sums_over_pixels(
         job.width, job.height, job.threads, job.band_rows, job.alpha_max, image, alpha, depth,
         np.zeros_like(image) if to_image is None else _array(to_image),
         np.zeros_like(alpha) if to_alpha is None else _array(to_alpha),
-        alpha if to_depth is None else _array(to_depth), to_depth is not None,
+        alpha if to_depth is None else _array(to_depth), to_depth is not None, with_shape,
         sums.reshape(-1), width, np.zeros(1, np.int64),
     )  # fmt: skip
     return sums, first_slot

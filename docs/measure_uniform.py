@@ -2,8 +2,8 @@
 
     python docs/measure_uniform.py DATA [DATA ...] [--grids band box cube] [-- OPTIONS]
 
-DATA and OPTIONS are as for sculpt-train. Each scene is reconstructed by the default method once per kind of grid, all
-with cells of the same size:
+DATA and OPTIONS are as for sculpt-train. Each scene is reconstructed by the default method, with the plan that
+sculpt-train makes for it, once per kind of grid, all with cells of the same size:
 
     band   the method as it is: field and weights where the surface is
     box    the field is evaluated, with gradient, at every corner of the object's box, and every cell has FlexiCubes'
@@ -35,6 +35,7 @@ from sculpt_framework.geometry.band import Band
 from sculpt_framework.geometry.grid import Grid, pack, unpack_ijk
 from sculpt_framework.geometry.octree_band import OctreeBand
 from sculpt_framework.geometry.octree_policy import LevelMap
+from sculpt_framework.plan.make import plan_scene
 from sculpt_plugins.extractors.flexicubes.config import FlexiCubesConfig
 from sculpt_plugins.extractors.flexicubes.extractor import FlexiCubes
 
@@ -125,8 +126,10 @@ def main() -> None:
 def measure(data: str, kind: str, options: Sequence[str]) -> Measured:
     """Reconstruct a scene on this kind of grid."""
     config = parse(["gaussian-sculpting", "--data", data, *options])
+    scene = config.dataset.build(config.data).load()
+    config, _ = plan_scene(replace(config, observers=()), scene)
     events: list[Event] = []
-    pipeline = Pipeline(replace(config, observers=()), emit=events.append)
+    pipeline = Pipeline(config, scene=scene, emit=events.append)
     trainer, corners = pipeline.parts.trainer, None
     if kind != "band":
         assert isinstance(config.extractor, FlexiCubesConfig)  # noqa: S101

@@ -155,13 +155,13 @@ class BiLevelTrainer:
             self.scene.forget()
         self.scene.follow(surface)
         self.processes.require_same(surface.face_keys)
-        inner_loss, inner_began = None, time.perf_counter()
-        binding = self.scene.bind(surface, learn=not self._config.gradient_isolation)
+        inner_loss, binding, inner_began = None, None, time.perf_counter()
         if self._config.gradient_isolation and not stage.silhouette_only:
-            warmed = self._warm_up(surface, images, binding, warm) if self.inner_total == 0 else binding
-            inner_loss, kept = self.inner_loop(surface, images, stage.inner_steps, rate_factor, warmed)
-            if warmed is None or not kept:
-                binding = self.scene.bind(surface, learn=False)
+            if self.inner_total == 0:
+                binding = self._warm_up(surface, images, warm)
+            inner_loss, binding = self.inner_loop(surface, images, stage.inner_steps, rate_factor, binding)
+        if binding is None:
+            binding = self.scene.bind(surface, learn=not self._config.gradient_isolation)
         seconds = time.perf_counter() - inner_began
         self._check_scene()
         return Settled(
@@ -223,24 +223,26 @@ class BiLevelTrainer:
         steps: int,
         rate_factor: float,
         binding: Binding | None = None,
-    ) -> tuple[float | None, bool]:
+    ) -> tuple[float | None, Binding | None]:
         """Colours, and now and then scales and places, of the Gaussians on a detached copy of the surface.
 
-        ``binding`` is what ``scene.bind`` makes of the surface, if that is known. Returns the mean loss, None without
-        steps, and whether ``binding`` is still that: no step taught places.
+        ``binding`` is what ``scene.bind`` makes of the surface, connected to it, if that is known. Returns the mean
+        loss, None without steps, and what is known of the binding then.
         """
-        surface = surface.detach()
-        bound = None if binding is None else binding.detach()
-        total, kept = 0.0, True
+        total = 0.0
         batch = self._config.inner_batch or self.processes.count
         colors = [Weighted(name=_COLORS, weight=1.0, term=self.objectives.photometric)]
         for step in range(0, steps, batch):
             count = min(batch, steps - step)
             before, after = self.inner_total, self.inner_total + count
             every = self._config.bind_every
-            learn_places = self.scene.learns_places and after // every > before // every
-            if bound is None or learn_places:
-                bound = self.scene.bind(surface, learn=learn_places)
+            # Places come first: colours, and the outer step, are then of one binding.
+            learn_places = self.scene.learns_places and -(-before // every) < -(-after // every)
+            if learn_places:
+                bound, binding = self.scene.bind(surface.detach(), learn=True), None
+            else:
+                binding = self.scene.bind(surface, learn=False) if binding is None else binding
+                bound = binding.detach()
             self.scene.zero_grad()
             gaussians = assemble(bound, self.scene.harmonics(bound.means, degree=self._degree(step), learn=True))
             walk, terms = self._see(gaussians, [self._draw(images) for _ in range(count)], colors)
@@ -253,23 +255,18 @@ class BiLevelTrainer:
                 self.resting.saw(constraint.name, terms[constraint.name], terms[_COLORS])
             total += terms[_COLORS] * count
             self.scene.step(self.gaussian_rate * (1.0 if not self._config.warm_start else rate_factor))
-            if learn_places:
-                bound, kept = None, False
             self.inner_total = after
-        return (total / steps if steps else None), kept
+        return (total / steps if steps else None), binding
 
-    def _warm_up(
-        self, surface: Surface, images: Sequence[TrainingImage], binding: Binding, warm: Callable[[], bool]
-    ) -> Binding | None:
-        """Inner steps before the surface first moves. Returns the binding, None if it is no longer the surface's."""
+    def _warm_up(self, surface: Surface, images: Sequence[TrainingImage], warm: Callable[[], bool]) -> Binding | None:
+        """Inner steps before the surface first moves. Returns what is known of the binding then."""
         steps, chunk = self._config.warm_up_steps, _CHUNK * (self._config.inner_batch or self.processes.count)
-        bound: Binding | None = binding
+        binding: Binding | None = None
         for done in range(0, steps, chunk):
             if done >= _LEAST_WARM_UP and self.processes.first(warm):
                 break
-            _, kept = self.inner_loop(surface, images, min(chunk, steps - done), 1.0, bound)
-            bound = bound if kept else None
-        return bound
+            _, binding = self.inner_loop(surface, images, min(chunk, steps - done), 1.0, binding)
+        return binding
 
     def signed_distance(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
         return signed_distance(self.field, self.frozen, points, margin=2 * self.extractor.grid.cell)

@@ -57,9 +57,10 @@ def smallest_angles(
 
     0 where two corners coincide. A measure, not meant to be differentiated.
     """
-    shortest = squared_sides.amin(dim=-1)
+    first, second, third = squared_sides.unbind(-1)
+    shortest = torch.minimum(torch.minimum(first, second), third)
     # The smallest angle lies opposite the shortest side. atan2 of area and projection is accurate near 0, unlike acos.
-    angle = torch.atan2(doubled_areas, 0.5 * squared_sides.sum(dim=-1) - shortest)
+    angle = torch.atan2(doubled_areas, 0.5 * (first + second + third) - shortest)
     return torch.where(shortest > 0, angle, 0.0)
 
 

@@ -242,7 +242,7 @@ def places(config: MethodConfig, evidence: Evidence) -> Ruling:
         value="Gaussians stay where their faces put them",
         evidence=why,
         measured=measured,
-        saves="their rows and optimiser state, two bindings a step, the constraints on them",
+        saves="their rows and optimiser state, a binding a step, the constraints on them",
         spared={"binds per outer step": _inner_binds(config)},
     )
 
@@ -311,9 +311,9 @@ def cell_pixels(config: MethodConfig, evidence: Evidence) -> float:
 
 
 def _inner_binds(config: MethodConfig) -> float:
-    """Bindings of one outer step beside the one it cannot do without: two for each inner step that learns places."""
-    steps = config.trainer.stages[-1].inner_steps
-    return 2.0 * -(-steps // config.trainer.bind_every)
+    """Bindings of one outer step, of steps that learn places and between them, beside the one there is anyway."""
+    learning = -(-config.trainer.stages[-1].inner_steps // config.trainer.bind_every)
+    return float(learning if config.trainer.bind_every == 1 else 2 * learning - 1)
 
 
 STAGES = "trainer.stages"

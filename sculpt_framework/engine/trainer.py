@@ -227,7 +227,7 @@ class BiLevelTrainer:
         """Colours, and now and then scales and places, of the Gaussians on a detached copy of the surface.
 
         ``binding`` is what ``scene.bind`` makes of the surface, connected to it, if that is known. Returns the mean
-        loss, None without steps, and what is known of the binding then.
+        loss, None without steps, and that binding as it is then, None where places have been taught since.
         """
         total = 0.0
         batch = self._config.inner_batch or self.processes.count
@@ -259,7 +259,7 @@ class BiLevelTrainer:
         return (total / steps if steps else None), binding
 
     def _warm_up(self, surface: Surface, images: Sequence[TrainingImage], warm: Callable[[], bool]) -> Binding | None:
-        """Inner steps before the surface first moves. Returns what is known of the binding then."""
+        """Inner steps before the surface first moves. Returns a binding as ``inner_loop`` does."""
         steps, chunk = self._config.warm_up_steps, _CHUNK * (self._config.inner_batch or self.processes.count)
         binding: Binding | None = None
         for done in range(0, steps, chunk):

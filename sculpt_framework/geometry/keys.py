@@ -23,10 +23,7 @@ def locate(among: Int64[Tensor, " n"], keys: Int64[Tensor, " m"]) -> tuple[Int64
     """As ``find``, in a list in any order; the row of an absent key is valid unless the list is empty."""
     if bool((among[1:] > among[:-1]).all()):
         return find(among, keys)
-    if among.device.type == "cpu":
-        order = torch.from_numpy(np.argsort(among.numpy(), kind="stable"))
-    else:
-        order = among.argsort()
+    order = _ascending(among)
     row, there = find(among[order], keys)
     return order[row], there
 
@@ -36,14 +33,21 @@ def merging(first: Int64[Tensor, " n"], second: Int64[Tensor, " m"]) -> Int64[Te
 
     The first is ascending. The second, which is as a rule much shorter, may be in any order.
     """
-    second, order = second.sort()
-    place = _place(first, second) + torch.arange(len(second), device=second.device)
+    order = _ascending(second)
+    place = _place(first, second[order]) + torch.arange(len(second), device=second.device)
     merged = torch.empty(len(first) + len(second), dtype=torch.int64, device=first.device)
     free = torch.ones_like(merged, dtype=torch.bool)
     free[place] = False
     merged[place] = order + len(first)
     merged[free] = torch.arange(len(first), device=first.device)
     return merged
+
+
+def _ascending(keys: Int64[Tensor, " n"]) -> Int64[Tensor, " n"]:
+    """The order that sorts distinct keys."""
+    if keys.device.type == "cpu":
+        return torch.from_numpy(np.argsort(keys.numpy(), kind="stable"))
+    return keys.argsort()
 
 
 def _place(ordered: Int64[Tensor, " n"], keys: Int64[Tensor, "*m"]) -> Int64[Tensor, "*m"]:

@@ -25,8 +25,6 @@ _BANDS = 16
 """Bands of tile rows where the sums must not depend on the number of threads."""
 _BANDS_PER_THREAD = 8
 _PARTS_PER_THREAD = 4
-_FEATURES_PLACE = 4
-"""Of the features, among the inputs of a rendering that take gradients."""
 
 
 class NumbaRasterizer(Rasterizer):
@@ -214,7 +212,7 @@ class _Rasterize(torch.autograd.Function):
     def backward(ctx, to_image, to_alpha, to_depth):  # pyright: ignore[reportIncompatibleMethodOverride]
         means, scales, rotations, opacities, pose, image, alpha, depth = ctx.saved_tensors
         job: _Job = ctx.job
-        with_shape = any(needed for place, needed in enumerate(ctx.needs_input_grad[:6]) if place != _FEATURES_PLACE)
+        with_shape = any((*ctx.needs_input_grad[:4], ctx.needs_input_grad[5]))
         sums, first_slot = _sums_over_pixels(
             job, ctx.drawn, (image, alpha, depth), (to_image, to_alpha, to_depth), with_shape
         )

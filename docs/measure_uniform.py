@@ -1,18 +1,19 @@
 """What an outer step takes on the band, and on uniform grids that keep everything at every corner and cell.
 
-    python docs/measure_uniform.py DATA [DATA ...] [--grids band box cube] [-- OPTIONS]
+    python docs/measure_uniform.py DATA [DATA ...] [--grids cube box band] [--coarser CELLS ...] [-- OPTIONS]
 
 DATA and OPTIONS are as for sculpt-train. Each scene is reconstructed by the default method, with the plan that
 sculpt-train makes for it, once per kind of grid, all with cells of the same size:
 
+    cube   the field is evaluated, with gradient, at every corner of a cube as long as the longest side of the object's
+           box, and every cell has FlexiCubes' weights, which Adam moves: as in FlexiCubes' own code
+    box    the same on the object's box
     band   the method as it is: field and weights where the surface is
-    box    the field is evaluated, with gradient, at every corner of the object's box, and every cell has FlexiCubes'
-           weights, which Adam moves: as in FlexiCubes' own code
-    cube   the same on a cube as long as the box's longest side, which is the grid that code makes
 
 From the field's values on the ways are one: the cells that change sign are extracted as they always are. So it is the
 price of keeping a volume that is measured, and not how well an extraction is programmed. Told are the median of the
-outer steps, without the fit before them, and the result's error.
+outer steps, without the fit before them, its share of the first cube's, and the result's error. ``--coarser`` repeats
+band and cube with fewer, larger cells (``--trainer.base-cells``), for what as small an error takes at the least.
 """
 
 import argparse
@@ -49,6 +50,8 @@ class Measured:
 
     milliseconds: float
     """Median of the outer steps."""
+    cells: int
+    """Along the longest side of the grid, of which the object's box may fill less."""
     corners: int
     """That have values: of the last surface's band, or of the grid."""
     faces: int
@@ -108,19 +111,23 @@ def main() -> None:
     own, extra = (words[: words.index("--")], words[words.index("--") + 1 :]) if "--" in words else (words, [])
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", nargs="+")
-    parser.add_argument("--grids", nargs="+", choices=["band", "box", "cube"], default=["band", "box", "cube"])
+    parser.add_argument("--grids", nargs="+", choices=["cube", "box", "band"], default=["cube", "box", "band"])
+    parser.add_argument("--coarser", nargs="+", type=int, default=[], metavar="CELLS")
     request = parser.parse_args(own)
-    say("| scene | grid | corners, millions | faces | step, ms | the band's of it | Chamfer 1e-2 |")
-    say("|---|---|---|---|---|---|---|")
+    wanted = [(kind, extra) for kind in request.grids]
+    for cells in request.coarser:
+        wanted += [(kind, [*extra, "--trainer.base-cells", str(cells)]) for kind in ("band", "cube")]
+    say("| scene | grid | cells | corners, millions | faces | step, ms | of the cube's | Chamfer 1e-2 |")
+    say("|---|---|---|---|---|---|---|---|")
     for data in request.data:
-        band = None
-        for kind in request.grids:
-            row = measure(data, kind, extra)
-            band = row.milliseconds if kind == "band" else band
-            share = "-" if band is None else f"{band / row.milliseconds:.2f}"
+        cube = None
+        for kind, options in wanted:
+            row = measure(data, kind, options)
+            cube = row.milliseconds if kind == "cube" and cube is None else cube
+            share = "-" if cube is None else f"{row.milliseconds / cube:.2f}"
             error = "-" if row.chamfer is None else f"{100 * row.chamfer:.3f}"
-            corners, step = f"{row.corners / 1e6:.2f}", f"{row.milliseconds:.0f}"
-            say(f"| {data} | {kind} | {corners} | {row.faces} | {step} | {share} | {error} |")
+            size, step = f"{row.cells} | {row.corners / 1e6:.2f}", f"{row.milliseconds:.0f}"
+            say(f"| {data} | {kind} | {size} | {row.faces} | {step} | {share} | {error} |")
 
 
 def measure(data: str, kind: str, options: Sequence[str]) -> Measured:
@@ -141,6 +148,7 @@ def measure(data: str, kind: str, options: Sequence[str]) -> Measured:
     assert trainer.extraction is not None  # noqa: S101
     return Measured(
         milliseconds=1e3 * statistics.median(end - begin for begin, end in itertools.pairwise(ends)),
+        cells=max(trainer.extractor.grid.shape),
         corners=corners or len(trainer.extraction.corner_sdf),
         faces=len(trainer.extraction.surface.faces),
         chamfer=[event for event in events if event.event == "evaluation"][-1].data.get("chamfer_ps"),

@@ -24,6 +24,8 @@ _PRIOR = 0.02
 _STIFFNESS = 0.3
 """Pull of the six neighbours, relative to that of a value that is sure: fills what no view knows, smoothly."""
 _SWEEPS = 100
+_DOUBT = 5.0
+"""What is added to the margin of a depth that a single view would tell, in margins; of one that is sure, nothing."""
 _CRUMB = 1e-3
 """Pieces smaller than this share of the largest are mistakes."""
 
@@ -33,8 +35,8 @@ def carve(solid: Volume, views: PackedViews, maps: DepthMaps, margin: float) -> 
 
     ``solid`` is a signed distance. What depths show less than ``margin`` below its surface is left alone, as depths are
     no more exact than that; from twice as deep on they are believed as they are. What is left after all depths are
-    believed decides which of them would have to see through it: those are not. Bubbles inside are filled, crumbs
-    outside removed.
+    believed decides which of them would have to see through it: those are not. Pits that few views tell of and bubbles
+    inside are filled, crumbs outside removed.
     """
     hull = solid.values < 0
     sums = _Sums(np.zeros(hull.shape, np.float32), np.zeros(hull.shape, np.float32), np.zeros(hull.shape, bool))
@@ -43,7 +45,7 @@ def carve(solid: Volume, views: PackedViews, maps: DepthMaps, margin: float) -> 
     # Without its skin, which a line of sight along the surface may touch.
     left = np.asarray(ndimage.binary_erosion(carved < 0), dtype=bool)
     _add_up(solid, sums.seen_through.copy(), left, views, maps, sums)
-    carved = _carved(solid, _filled(solid, sums), margin)
+    carved = _without_pits(solid, hull, _filled(solid, sums), sums.views, margin)
     return solid.holding(signed_distance(_one_piece(carved < 0, hull), carved, solid.cell))
 
 
@@ -92,10 +94,38 @@ def _truncation(solid: Volume) -> np.float32:
     return np.float32(_TRUNCATION * solid.cell)
 
 
-def _carved(solid: Volume, seen: Float32[np.ndarray, "x y z"], margin: float) -> Float32[np.ndarray, "x y z"]:
+def _carved(
+    solid: Volume, seen: Float32[np.ndarray, "x y z"], margin: float | Float32[np.ndarray, "x y z"]
+) -> Float32[np.ndarray, "x y z"]:
     deeper = seen - solid.values
-    share = np.clip(deeper / np.float32(max(margin, 1e-6)) - 1, 0, 1)
+    share = np.clip(deeper / np.maximum(margin, 1e-6, dtype=np.float32) - 1, 0, 1)
     return solid.values + share * deeper
+
+
+def _without_pits(
+    solid: Volume,
+    hull: Bool[np.ndarray, "x y z"],
+    seen: Float32[np.ndarray, "x y z"],
+    views: Float32[np.ndarray, "x y z"],
+    margin: float,
+) -> Float32[np.ndarray, "x y z"]:
+    """What depths carve, without the hollows that are shallow for how few views tell of them.
+
+    The fewer, the more grazing they look, and the more their depths err together. Widening the margin for all they say
+    would fill the deep, narrow hollows as well, which few views see either. So a hollow, which is what hangs together
+    by the faces of its cells, is left as it is if any of its cells is carved with the wider margin, too.
+    """
+    carved = _carved(solid, seen, margin)
+    doubt = 1 - np.minimum(views, np.float32(_SURE)) / np.float32(_SURE)
+    cautious = _carved(solid, seen, np.float32(margin) * (1 + np.float32(_DOUBT) * doubt))
+    hollows = hull & (carved >= 0)
+    label = np.zeros(hull.shape, np.int32)
+    ndimage.label(hollows, output=label)
+    deep = np.bincount(label[hollows & (cautious >= 0)], minlength=int(label.max()) + 1) > 0
+    pits = hollows & ~deep[label]
+    # The distance is bent towards a pit in the cells round it as well.
+    around = np.asarray(ndimage.binary_dilation(pits, iterations=2), dtype=bool) & ~(hollows & ~pits)
+    return np.where(around, cautious, carved)
 
 
 def _fill(

@@ -1,5 +1,7 @@
 """A first shape from silhouettes and colours, on a ball with a deep dent."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 import torch
@@ -13,7 +15,7 @@ from sculpt_framework.errors import DataError
 from sculpt_framework.shape_from_images.depth_maps import DepthMaps, SweepOptions, find_depths
 from sculpt_framework.shape_from_images.fusion import carve, signed_distance
 from sculpt_framework.shape_from_images.hull import signed_mask_distance, visual_hull
-from sculpt_framework.shape_from_images.packing import pack_views
+from sculpt_framework.shape_from_images.packing import PackedViews, pack_views
 from sculpt_framework.shape_from_images.volume import Volume, sample
 from sculpt_framework.types import View
 from sculpt_plugins.initializers.photo_hull.config import PhotoHullConfig
@@ -133,9 +135,8 @@ def test_neighbours_prefer_the_wanted_angle(views):
         assert len(left_out) == 0 or chosen.max() <= np.abs(angles[left_out] - 30).min() + 1e-4
 
 
-def test_exact_depths_carve_the_exact_shape(views):
-    """Depth maps computed from the truth: what is left is the error of fusing."""
-    packed = pack_views(views, 48.0)
+def exact_depths(packed: PackedViews, distance: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+    """Depth maps computed from the truth, NaN beside the object."""
     depths = np.full(packed.inside.shape, np.nan, np.float32)
     for i in range(len(packed)):
         rows, columns = np.nonzero(packed.inside[i])
@@ -144,13 +145,42 @@ def test_exact_depths_carve_the_exact_shape(views):
         ray = pose[:, :3].T @ ray
         depth = np.full(len(rows), np.linalg.norm(packed.positions[i]) - 1)
         for _ in range(200):
-            gap = dented_ball(packed.positions[i][:, None].astype(float) + depth * ray)
-            depth += 0.9 * gap / np.linalg.norm(ray, axis=0)
-        gap = np.abs(dented_ball(packed.positions[i][:, None].astype(float) + depth * ray))
+            gap = distance(packed.positions[i][:, None].astype(float) + depth * ray)
+            depth += 0.9 * np.minimum(gap, 0.5) / np.linalg.norm(ray, axis=0)
+        gap = np.abs(distance(packed.positions[i][:, None].astype(float) + depth * ray))
         depths[i, rows, columns] = np.where(gap < 1e-3, depth, np.nan)
+    return depths
+
+
+def test_exact_depths_carve_the_exact_shape(views):
+    """What is left is the error of fusing."""
+    packed = pack_views(views, 48.0)
     solid = sample(visual_hull(views, 100, CPU), (1.0, 1.0, 1.0), 96, CPU)
-    carved = carve(solid, packed, DepthMaps(depths=depths, step=0.0, known=1.0), 0.0)
+    carved = carve(solid, packed, DepthMaps(depths=exact_depths(packed, dented_ball), step=0.0, known=1.0), 0.0)
     assert error_in_dent(carved.values.reshape(-1), carved.points) < 0.5 * carved.cell
+
+
+@pytest.mark.parametrize(
+    ("bottom", "count", "carves"), [(0.72, 3, False), (0.72, 16, True), (0.4, 3, True)], ids=["pit", "sure", "deep"]
+)
+def test_shallow_hollows_need_many_views(views, bottom, count, carves):
+    """In the side of a ball, of which only so many views know anything there."""
+    packed = pack_views(views, 48.0)
+    straight = np.argsort(-packed.positions[:, 0] / np.linalg.norm(packed.positions, axis=1))
+
+    def hollow(p: np.ndarray) -> np.ndarray:
+        dug = capsule(p, (bottom + 0.2, 0.0, 0.0), (1.2, 0.0, 0.0), 0.2)
+        return np.maximum(sphere(p, (0.0, 0.0, 0.0), 0.8), -dug)
+
+    told = exact_depths(packed, hollow)
+    told[straight[count:]] = np.nan
+    x, y, z = np.meshgrid(*[np.linspace(-1, 1, 65)] * 3, indexing="ij")
+    values = np.sqrt(x**2 + y**2 + z**2) - 0.8
+    solid = Volume(values=values.astype(np.float32), origin=(-1 - 1 / 64,) * 3, cell=1 / 32)
+    carved = carve(solid, packed, DepthMaps(depths=told, step=0.0, known=1.0), 0.03)
+    along = carved.values[32:, 32, 32]
+    surface = np.interp(0.0, along, np.linspace(0, 1, 33))
+    assert surface == pytest.approx(bottom if carves else 0.8, abs=0.02)
 
 
 def test_bubbles_are_filled_and_crumbs_removed(views):

@@ -1,5 +1,7 @@
 """Gradients and learnable tables of the ``flexicubes`` extractor."""
 
+from dataclasses import fields
+
 import pytest
 import torch
 from sampled_grids import all_cells, corner_lookup, unit_grid
@@ -10,8 +12,19 @@ from sculpt_framework.geometry.grid import Grid, grid_over_box, unpack_ijk
 from sculpt_framework.testing import box_sdf, check_extraction, sphere_sdf
 from sculpt_plugins.extractors.flexicubes.config import FlexiCubesConfig
 from sculpt_plugins.extractors.flexicubes.extractor import FlexiCubes
-from sculpt_plugins.extractors.flexicubes.geometry import center_split, diagonal_split, dual_vertices
-from sculpt_plugins.extractors.flexicubes.topology import DualTopology, dual_topology
+from sculpt_plugins.extractors.flexicubes.geometry import (
+    center_split,
+    diagonal_split,
+    dual_vertices,
+    dual_vertices_in_torch,
+    second_diagonals_in_torch,
+)
+from sculpt_plugins.extractors.flexicubes.topology import (
+    DualTopology,
+    crossed_edges_compiled,
+    crossed_edges_in_torch,
+    dual_topology,
+)
 
 CPU = torch.device("cpu")
 
@@ -247,3 +260,75 @@ def test_diagonal_leaves_the_larger_smallest_angle_and_does_not_fold():
         [[4, 5, 7], [5, 6, 7]],
         [[8, 9, 10], [8, 10, 11]],
     ]
+
+
+def single(tensor: Tensor) -> Tensor:
+    return tensor.detach().float().requires_grad_()
+
+
+@pytest.mark.parametrize("weighted", [True, False], ids=["weighted", "plain"])
+@pytest.mark.parametrize("damped", [True, False], ids=["damped", "plain"])
+def test_compiled_vertices_are_those_of_torch(weighted, damped):
+    """Values and gradients, also of an edge with 0 at both ends and one that the surface grazes."""
+    grid = unit_grid((4, 5, 4))
+    band, topology = noisy_band(grid)
+    values = band.corner_sdf.clone()
+    values[topology.ends[0]] = torch.tensor([-0.0, 0.0], dtype=torch.float64)
+    values[topology.ends[40]] *= 1e-4
+    cells = len(band.cells)
+    inputs = [band.corner_positions, values] + ([positive((cells, 8)), positive((cells, 12))] if weighted else [])
+    random = torch.Generator().manual_seed(11)
+    slopes = torch.randn(topology.vertex_count, 4, generator=random)
+    every_other = torch.arange(4 * len(topology.ends))[torch.rand(4 * len(topology.ends), generator=random) < 0.9]
+    for used in (None, every_other):
+        found = []
+        for way in (dual_vertices, dual_vertices_in_torch):
+            leaves = [single(tensor) for tensor in inputs]
+            positions, sdf, *weights = leaves
+            alpha, beta = weights or (None, None)
+            out = way(topology, positions, sdf, grid.cell, alpha, beta, used, damped)
+            joined = torch.cat([out[0], out[1][:, None]], dim=1)
+            (joined * slopes).nan_to_num(0.0).sum().backward()
+            found.append([joined.detach(), *(leaf.grad for leaf in leaves)])
+        # A vertex none of whose places is used has no position, in both.
+        for mine, theirs in zip(*found, strict=True):
+            torch.testing.assert_close(mine, theirs, rtol=2e-4, atol=2e-5, equal_nan=True)
+
+
+def test_compiled_vertices_are_the_same_for_any_number_of_threads():
+    grid = unit_grid((6, 6, 6))
+    band, topology = noisy_band(grid)
+    before, found = torch.get_num_threads(), []
+    try:
+        for threads in (1, 2):
+            torch.set_num_threads(threads)
+            leaves = [single(band.corner_positions), single(band.corner_sdf), single(positive((len(band.cells), 8)))]
+            vertices, deviation = dual_vertices(topology, *leaves[:2], grid.cell, leaves[2])
+            (vertices.square().sum() + deviation.sum()).backward()
+            found.append([vertices, deviation, *(leaf.grad for leaf in leaves)])
+    finally:
+        torch.set_num_threads(before)
+    assert all(torch.equal(one, two) for one, two in zip(*found, strict=True))
+
+
+def test_compiled_quads_are_those_of_torch():
+    band, topology = noisy_band(unit_grid((6, 5, 7)))
+    vertices = torch.arange(12 * len(band.cells)).reshape(-1, 12)
+    compiled, plain = (way(band, vertices, 7) for way in (crossed_edges_compiled, crossed_edges_in_torch))
+    for name in (each.name for each in fields(DualTopology)):
+        mine, theirs = getattr(compiled, name), getattr(plain, name)
+        assert mine == theirs == 7 if name == "vertex_count" else torch.equal(mine, theirs), name
+    assert topology.descending.any()
+    assert not topology.descending.all()
+
+
+def test_compiled_diagonals_are_those_of_torch():
+    random = torch.Generator().manual_seed(3)
+    corners = torch.tensor([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]) + 0.5 * torch.randn(
+        500, 4, 3, generator=random
+    )
+    corners[:3, 1] = corners[:3, 0]  # Coincident corners: an angle of 0.
+    vertices, quads = corners.reshape(-1, 3), torch.arange(2000).reshape(-1, 4)
+    second = diagonal_split(vertices, quads)[1]
+    assert torch.equal(second, second_diagonals_in_torch(vertices, quads))
+    assert 100 < int(second.sum()) < 400

@@ -6,6 +6,7 @@ from torch import Tensor
 
 from sculpt_framework.geometry.band import LEAST_DROP, crossing_weight
 from sculpt_framework.geometry.faces import smallest_angles
+from sculpt_plugins.extractors.flexicubes.compiled import dual_vertices_compiled, second_diagonals_compiled
 from sculpt_plugins.extractors.flexicubes.octree_topology import OctreeTopology
 from sculpt_plugins.extractors.flexicubes.topology import DualTopology
 
@@ -33,6 +34,34 @@ def dual_vertices(
     Crossings and gradients stay finite where both ends are 0 (``crossing_weight``). With ``damp_grazing`` the gradient
     of a crossing is lessened where a grows by less than the edge's length along it, in proportion.
     """
+    tensors = [tensor for tensor in (corner_positions, corner_sdf, alpha, beta) if tensor is not None]
+    if not all(tensor.device.type == "cpu" and tensor.dtype == torch.float32 for tensor in tensors):
+        return dual_vertices_in_torch(topology, corner_positions, corner_sdf, cell, alpha, beta, used, damp_grazing)
+    edges = topology.ends.shape[0]
+    rows = int(topology.cells.max()) + 1 if edges else 0
+    return dual_vertices_compiled(
+        topology,
+        corner_positions,
+        corner_sdf,
+        cell if isinstance(cell, Tensor) else torch.full((edges,), cell),
+        torch.ones(rows, int(topology.cell_ends.max()) + 1 if edges else 0) if alpha is None else alpha,
+        torch.ones(rows, int(topology.cell_edge.max()) + 1 if edges else 0) if beta is None else beta,
+        torch.arange(4 * edges) if used is None else used,
+        damp_grazing,
+    )
+
+
+def dual_vertices_in_torch(
+    topology: DualTopology | OctreeTopology,
+    corner_positions: Float[Tensor, "n 3"],
+    corner_sdf: Float[Tensor, " n"],
+    cell: float | Float[Tensor, " e"],
+    alpha: Float[Tensor, "c a"] | None = None,
+    beta: Float[Tensor, "c b"] | None = None,
+    used: Int64[Tensor, " m"] | None = None,
+    damp_grazing: bool = False,
+) -> tuple[Float[Tensor, "d 3"], Float[Tensor, " d"]]:
+    """``dual_vertices`` in plain torch: any device and floating-point type."""
     side = cell[:, None] if isinstance(cell, Tensor) else cell
     ends = corner_positions.index_select(0, topology.ends.reshape(-1)).reshape(-1, 2, 3)
     reach = corner_sdf.index_select(0, topology.ends.reshape(-1)).reshape(-1, 1, 2).abs()
@@ -83,6 +112,18 @@ def diagonal_split(
 
     The diagonal with the larger smallest angle wins, unless it folds the quad over and the other one does not.
     """
+    if vertices.device.type == "cpu" and vertices.dtype == torch.float32:
+        use_second = second_diagonals_compiled(vertices, quads, PREFERRED_BY)
+    else:
+        use_second = second_diagonals_in_torch(vertices, quads)
+    a, b, c, d = quads.unbind(1)
+    # (a, b, c) and (a, c, d), or (a, b, d) and (b, c, d).
+    corners = [a, b, torch.where(use_second, d, c), torch.where(use_second, b, a), c, d]
+    return torch.stack(corners, dim=1).reshape(-1, 2, 3), use_second
+
+
+def second_diagonals_in_torch(vertices: Float[Tensor, "d 3"], quads: Int64[Tensor, "e 4"]) -> Bool[Tensor, " e"]:
+    """Which quads ``diagonal_split`` splits along their second diagonal, on any device."""
     # Coordinates come first and quads last: short last dimensions cost torch several times as much.
     corner = vertices.detach().T.contiguous().index_select(1, quads.T.reshape(-1)).reshape(3, 4, -1)
     side = corner.roll(-1, dims=1) - corner
@@ -94,11 +135,7 @@ def diagonal_split(
     angle = smallest_angles(squares.movedim(0, -1), area_vector.square().sum(dim=0).sqrt())
     folded = (area_vector[:, :2] * area_vector[:, 2:]).sum(dim=0) < 0
     score = torch.minimum(angle[:2], angle[2:]) - torch.pi * folded
-    use_second = score[1] > score[0] + PREFERRED_BY
-    a, b, c, d = quads.unbind(1)
-    # (a, b, c) and (a, c, d), or (a, b, d) and (b, c, d).
-    corners = [a, b, torch.where(use_second, d, c), torch.where(use_second, b, a), c, d]
-    return torch.stack(corners, dim=1).reshape(-1, 2, 3), use_second
+    return score[1] > score[0] + PREFERRED_BY
 
 
 def center_split(

@@ -1,13 +1,19 @@
 """Connectivity of the dual surface: integers only, no geometry."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Int64
 from torch import Tensor
 
+from sculpt_framework.cpu_kernels import kernel_cache, share_threads
 from sculpt_framework.geometry.band import Band
 from sculpt_plugins.extractors.flexicubes.tables import AXES, DualTables, dual_tables
+
+with kernel_cache("flexicubes-quads", Path(__file__).with_name("quad_kernels.py")):
+    from sculpt_plugins.extractors.flexicubes import quad_kernels
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -42,7 +48,44 @@ def dual_topology(band: Band) -> DualTopology:
     patch = tables.patch[inverted, band.cases]
     count = tables.patch_count[inverted, band.cases]
     first_vertex = count.cumsum(0) - count
-    per_axis = [_edges_along(band, patch + first_vertex[:, None], axis) for axis in range(3)]
+    cell_vertices = patch + first_vertex[:, None]
+    edges = crossed_edges_compiled if band.cells.device.type == "cpu" else crossed_edges_in_torch
+    return edges(band, cell_vertices, int(count.sum()))
+
+
+def crossed_edges_compiled(band: Band, cell_vertices: Int64[Tensor, "c 12"], vertex_count: int) -> DualTopology:
+    """As ``crossed_edges_in_torch``, in compiled kernels for the CPU."""
+    share_threads()
+    axes, cases, cell_corners = np.array(AXES), band.cases.numpy(), band.cell_corners.numpy()
+    per_axis = quad_kernels.count_edges(cases, axes)
+    count = int(per_axis.sum())
+
+    def numbers(*width: int) -> Int64[Tensor, "..."]:
+        return torch.empty(count, *width, dtype=torch.int64)
+
+    found = DualTopology(
+        ends=numbers(2),
+        cells=numbers(4),
+        cell_ends=numbers(4, 2),
+        cell_edge=numbers(4),
+        vertices=numbers(4),
+        keys=numbers(),
+        axis=numbers(),
+        descending=numbers(),
+        vertex_count=vertex_count,
+    )
+    quad_kernels.list_edges(
+        axes, per_axis.cumsum() - per_axis, cases, band.corners.numpy(), cell_corners, band.cell_at_corner.numpy(),
+        cell_vertices.numpy(), found.ends.numpy(), found.cells.numpy(), found.cell_ends.numpy(),
+        found.cell_edge.numpy(), found.vertices.numpy(), found.keys.numpy(), found.axis.numpy(),
+        found.descending.numpy(),
+    )  # fmt: skip
+    return found
+
+
+def crossed_edges_in_torch(band: Band, cell_vertices: Int64[Tensor, "c 12"], vertex_count: int) -> DualTopology:
+    """The edges with a sign change, axis by axis. ``cell_vertices`` are the dual vertices on the edges of each cell."""
+    per_axis = [_edges_along(band, cell_vertices, axis) for axis in range(3)]
     return DualTopology(
         ends=torch.cat([edges.ends for edges in per_axis]),
         cells=torch.cat([edges.cells for edges in per_axis]),
@@ -52,7 +95,7 @@ def dual_topology(band: Band) -> DualTopology:
         keys=torch.cat([edges.keys for edges in per_axis]),
         axis=torch.cat([edges.axis for edges in per_axis]),
         descending=torch.cat([edges.descending for edges in per_axis]),
-        vertex_count=int(count.sum()),
+        vertex_count=vertex_count,
     )
 
 

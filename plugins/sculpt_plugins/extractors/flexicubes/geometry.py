@@ -32,7 +32,8 @@ def dual_vertices(
     1 where they are not given; their columns are what ``cell_ends`` and ``cell_edge`` of the topology count. ``cell``
     is the length of the edges. ``used`` names the places, of the 4 e of all edges, that count; default: all of them.
     Crossings and gradients stay finite where both ends are 0 (``crossing_weight``). With ``damp_grazing`` the gradient
-    of a crossing is lessened where a grows by less than the edge's length along it, in proportion.
+    of a crossing is lessened where a grows by less than the edge's length along it, in proportion. A vertex none of
+    whose places is used is NaN. In compiled kernels for float32 on the CPU, else in torch.
     """
     tensors = [tensor for tensor in (corner_positions, corner_sdf, alpha, beta) if tensor is not None]
     if not all(tensor.device.type == "cpu" and tensor.dtype == torch.float32 for tensor in tensors):

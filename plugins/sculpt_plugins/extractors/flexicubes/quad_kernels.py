@@ -78,7 +78,7 @@ def choose_diagonals(vertices, quads, tangent_preferred, second):
         dab, x3, y3, z3 = _smallest_angle(ax - dx, ay - dy, az - dz, bx - ax, by - ay, bz - az)
         first_folds = x0 * x2 + y0 * y2 + z0 * z2 < _ZERO
         second_folds = x1 * x3 + y1 * y3 + z1 * z3 < _ZERO
-        # Smallest angles are 60 degrees at most: what they are more than is told by tangents, and theirs of a sum.
+        # Smallest angles are 60 degrees at most, where tangents grow with them: is tan(other) > tan(one + preferred)?
         one, other = min(abc, cda), min(bcd, dab)
         better = other * (_ONE - one * tangent_preferred) > one + tangent_preferred
         second[q] = better if first_folds == second_folds else first_folds

@@ -51,7 +51,7 @@ class Measured:
     milliseconds: float
     """Median of the outer steps."""
     cells: int
-    """Along the longest side of the grid, of which the object's box may fill less."""
+    """Along the longest side of the object's box, round which the grid has some more."""
     corners: int
     """That have values: of the last surface's band, or of the grid."""
     faces: int
@@ -148,7 +148,7 @@ def measure(data: str, kind: str, options: Sequence[str]) -> Measured:
     assert trainer.extraction is not None  # noqa: S101
     return Measured(
         milliseconds=1e3 * statistics.median(end - begin for begin, end in itertools.pairwise(ends)),
-        cells=max(trainer.extractor.grid.shape),
+        cells=config.trainer.base_cells << max(stage.level for stage in config.trainer.stages),
         corners=corners or len(trainer.extraction.corner_sdf),
         faces=len(trainer.extraction.surface.faces),
         chamfer=[event for event in events if event.event == "evaluation"][-1].data.get("chamfer_ps"),

@@ -1,4 +1,5 @@
-"""What all numba kernels share: where their machine code is kept, the time it takes to make, the number of threads."""
+"""What all numba kernels share: where their machine code is kept, the time it takes to make, the
+number of threads, and tensors as they take them."""
 
 import hashlib
 import logging
@@ -8,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
 import torch
 
 from sculpt_framework.memory import collector_paused
@@ -96,3 +98,8 @@ def share_threads() -> int:
     if torch.get_num_threads() != wanted:
         torch.set_num_threads(wanted)
     return threads
+
+
+def array_of(tensor: torch.Tensor) -> np.ndarray:
+    """The numbers of a tensor on the CPU, without gradient, one after the other; shared with it if they lie so."""
+    return tensor.detach().contiguous().numpy()

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int64
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
-from sculpt_framework.cpu_kernels import kernel_cache, share_threads
+from sculpt_framework.cpu_kernels import array_of, kernel_cache, share_threads
 
 with kernel_cache("hash-grid", Path(__file__).with_name("hash_grid_kernels.py")):
     from sculpt_framework.encodings import hash_grid_kernels
@@ -86,9 +86,9 @@ class _CompiledEncoding(torch.autograd.Function):
         share_threads()
         features = tables[0].shape[1]
         out = torch.zeros(points.shape[0], features if sum_levels else len(tables) * features)
-        where = points.detach().contiguous().numpy()
+        where = array_of(points)
         for level, (table, resolution) in enumerate(zip(tables, resolutions, strict=True)):
-            values = table.detach().contiguous().numpy()
+            values = array_of(table)
             hash_grid_kernels.encode_level(where, values, resolution, level * ctx.width, out.numpy())
         return out
 
@@ -97,13 +97,13 @@ class _CompiledEncoding(torch.autograd.Function):
     def backward(ctx, to_out: Tensor) -> tuple[Tensor | None, ...]:
         points, *tables = ctx.saved_tensors
         threads = share_threads()
-        where, slopes = points.detach().contiguous().numpy(), to_out.contiguous().numpy()
+        where, slopes = array_of(points), array_of(to_out)
         levels = list(enumerate(zip(tables, ctx.resolutions, strict=True)))
         to_points = None
         if ctx.needs_input_grad[0]:
             to_points = torch.zeros(points.shape)
             for level, (table, resolution) in levels:
-                values = table.detach().contiguous().numpy()
+                values = array_of(table)
                 hash_grid_kernels.differentiate_points(
                     where, values, resolution, level * ctx.width, slopes, to_points.numpy()
                 )

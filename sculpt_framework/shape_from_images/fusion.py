@@ -25,7 +25,7 @@ _STIFFNESS = 0.3
 """Pull of the six neighbours, relative to that of a value that is sure: fills what no view knows, smoothly."""
 _SWEEPS = 100
 _DOUBT = 5.0
-"""What is added to the margin of a depth that a single view would tell, in margins; of one that is sure, nothing."""
+"""Margins that are added to the margin where no view tells of a cell; where its value is sure, none are."""
 _CRUMB = 1e-3
 """Pieces smaller than this share of the largest are mistakes."""
 
@@ -45,7 +45,7 @@ def carve(solid: Volume, views: PackedViews, maps: DepthMaps, margin: float) -> 
     # Without its skin, which a line of sight along the surface may touch.
     left = np.asarray(ndimage.binary_erosion(carved < 0), dtype=bool)
     _add_up(solid, sums.seen_through.copy(), left, views, maps, sums)
-    carved = _without_pits(solid, hull, _filled(solid, sums), sums.views, margin)
+    carved = _without_pits(solid, hull, sums, margin)
     return solid.holding(signed_distance(_one_piece(carved < 0, hull), carved, solid.cell))
 
 
@@ -57,6 +57,11 @@ class _Sums(NamedTuple):
     views: Float32[np.ndarray, "x y z"]
     seen_through: Bool[np.ndarray, "x y z"]
     """Whether a view sees beyond the truncation here."""
+
+    @property
+    def sureness(self) -> Float32[np.ndarray, "x y z"]:
+        """From 0, where no view says anything, to 1."""
+        return np.minimum(self.views, np.float32(_SURE)) / np.float32(_SURE)
 
 
 def _add_up(
@@ -87,7 +92,7 @@ def _filled(solid: Volume, sums: _Sums) -> Float32[np.ndarray, "x y z"]:
     """Distance to what the maps show, from the shape known before where no view knows."""
     truncation = _truncation(solid)
     prior = np.clip(solid.values, -truncation, truncation)
-    return _fill(sums.distance / np.maximum(sums.views, 1), np.minimum(sums.views, _SURE) / _SURE, prior)
+    return _fill(sums.distance / np.maximum(sums.views, 1), sums.sureness, prior)
 
 
 def _truncation(solid: Volume) -> np.float32:
@@ -103,11 +108,7 @@ def _carved(
 
 
 def _without_pits(
-    solid: Volume,
-    hull: Bool[np.ndarray, "x y z"],
-    seen: Float32[np.ndarray, "x y z"],
-    views: Float32[np.ndarray, "x y z"],
-    margin: float,
+    solid: Volume, hull: Bool[np.ndarray, "x y z"], sums: _Sums, margin: float
 ) -> Float32[np.ndarray, "x y z"]:
     """What depths carve, without the hollows that are shallow for how few views tell of them.
 
@@ -115,17 +116,21 @@ def _without_pits(
     would fill the deep, narrow hollows as well, which few views see either. So a hollow, which is what hangs together
     by the faces of its cells, is left as it is if any of its cells is carved with the wider margin, too.
     """
+    seen = _filled(solid, sums)
     carved = _carved(solid, seen, margin)
-    doubt = 1 - np.minimum(views, np.float32(_SURE)) / np.float32(_SURE)
-    cautious = _carved(solid, seen, np.float32(margin) * (1 + np.float32(_DOUBT) * doubt))
+    cautious = _carved(solid, seen, np.float32(margin) * (1 + np.float32(_DOUBT) * (1 - sums.sureness)))
     hollows = hull & (carved >= 0)
-    label = np.zeros(hull.shape, np.int32)
-    ndimage.label(hollows, output=label)
-    deep = np.bincount(label[hollows & (cautious >= 0)], minlength=int(label.max()) + 1) > 0
-    pits = hollows & ~deep[label]
+    deep = _pieces_with(hollows, cautious >= 0)
     # The distance is bent towards a pit in the cells round it as well.
-    around = np.asarray(ndimage.binary_dilation(pits, iterations=2), dtype=bool) & ~(hollows & ~pits)
+    around = np.asarray(ndimage.binary_dilation(hollows & ~deep, iterations=2), dtype=bool) & ~deep
     return np.where(around, cautious, carved)
+
+
+def _pieces_with(cells: Bool[np.ndarray, "x y z"], marked: Bool[np.ndarray, "x y z"]) -> Bool[np.ndarray, "x y z"]:
+    """Of what hangs together by the faces of its cells, the pieces that have a marked cell."""
+    label = np.zeros(cells.shape, np.int32)
+    ndimage.label(cells, output=label)
+    return (np.bincount(label[cells & marked], minlength=int(label.max()) + 1) > 0)[label]
 
 
 def _fill(
@@ -149,12 +154,10 @@ def _one_piece(inside: Bool[np.ndarray, "x y z"], hull: Bool[np.ndarray, "x y z"
     inside."""
     hull = np.asarray(ndimage.binary_fill_holes(hull), dtype=bool)
     wide = np.asarray(ndimage.binary_erosion(~inside, border_value=1), dtype=bool)
-    label = np.zeros(inside.shape, np.int32)
-    ndimage.label(wide, output=label)
-    outside = np.bincount(label[wide & ~hull], minlength=int(label.max()) + 1) > 0
-    outside[0] = False
-    open_space = np.asarray(ndimage.binary_dilation(outside[label], mask=~inside), dtype=bool)
+    outside = _pieces_with(wide, ~hull)
+    open_space = np.asarray(ndimage.binary_dilation(outside, mask=~inside), dtype=bool)
     solid = hull & ~open_space
+    label = np.zeros(solid.shape, np.int32)
     ndimage.label(solid, output=label)
     sizes = np.bincount(label.reshape(-1))
     sizes[0] = 0

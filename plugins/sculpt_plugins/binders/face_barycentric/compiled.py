@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from sculpt_framework.binders import Binding
-from sculpt_framework.cpu_kernels import kernel_cache, share_threads
+from sculpt_framework.cpu_kernels import array_of, kernel_cache, share_threads
 from sculpt_framework.types import Surface
 from sculpt_plugins.binders.face_barycentric.in_torch import Manner
 from sculpt_plugins.binders.face_barycentric.limits import TINY
@@ -49,7 +49,7 @@ def bind_compiled(
 def relief_compiled(surface: Surface, reference: str) -> Relief:
     """As ``outline.relief_of``; the same bits from run to run, for any number of threads."""
     share_threads()
-    vertices, faces = _array(surface.vertices), _array(surface.faces)
+    vertices, faces = array_of(surface.vertices), array_of(surface.faces)
     count = len(faces)
     starts, entries = np.zeros(len(vertices) + 2, np.int64), np.empty(3 * count, np.int64)
     across = np.empty(3 * count, np.int64)
@@ -92,11 +92,11 @@ class _Bind(torch.autograd.Function):
         ]
         if relief is not None:
             fitted = (relief.outward, relief.heights, relief.cosine, relief.sine, relief.reach, relief.thickness)
-            outline = [_array(tensor) for tensor in fitted]
+            outline = [array_of(tensor) for tensor in fitted]
         outward, heights, cosine, sine, reach, thickness = outline
         mixing = np.empty((count, per_face, 4), np.float32)
         squares = np.empty(-(-count // triples.CHUNK))
-        forward.mix(_array(log_ratios), _turns(rotation), reach, mixing, squares)
+        forward.mix(array_of(log_ratios), _turns(rotation), reach, mixing, squares)
         density = 0.0
         if relief is not None:
             variance = float(squares.sum()) / (3 * count * per_face)
@@ -107,9 +107,9 @@ class _Bind(torch.autograd.Function):
         fitted = 0 if relief is None else count
         depth, trims = np.empty(fitted, np.float32), np.empty((fitted, per_face, 3), np.float32)
         forward.place(
-            _array(vertices), _array(faces), _array(logits), mixing, manner.reference == "steiner",
+            array_of(vertices), array_of(faces), array_of(logits), mixing, manner.reference == "steiner",
             np.float32(manner.normal_scale), np.float32(manner.blur),
-            outward, heights, cosine, sine, reach, thickness, _array(manner.depths.float()), density,
+            outward, heights, cosine, sine, reach, thickness, array_of(manner.depths.float()), density,
             means.numpy(), scales.numpy(), rotations.numpy(), barycentrics.numpy(), covariance.numpy(), corners.numpy(),
             depth, trims,
         )  # fmt: skip
@@ -127,7 +127,7 @@ class _Bind(torch.autograd.Function):
         vertices, faces, rotation, barycentrics, scales, rotations = ctx.saved_tensors
         share_threads()
         gradients = [
-            np.zeros((0,) * dimensions, np.float32) if gradient is None else _array(gradient)
+            np.zeros((0,) * dimensions, np.float32) if gradient is None else array_of(gradient)
             for gradient, dimensions in zip(to_outputs, (3, 3, 4, 3, 4, 3), strict=True)
         ]
         to_means, to_scales, to_rotations, to_barycentrics, to_covariance, to_flat_corners = gradients
@@ -136,22 +136,18 @@ class _Bind(torch.autograd.Function):
         to_rotation = None if rotation is None else torch.empty(count, per_face)
         to_corners = np.empty((count if ctx.needs_input_grad[0] else 0, 3, 3), np.float32)
         backward.place_backward(
-            _array(vertices), _array(faces), ctx.least, ctx.steiner, ctx.mixing, ctx.trims, ctx.depth,
-            _array(barycentrics), _array(scales), _array(rotations),
+            array_of(vertices), array_of(faces), ctx.least, ctx.steiner, ctx.mixing, ctx.trims, ctx.depth,
+            array_of(barycentrics), array_of(scales), array_of(rotations),
             to_means, to_scales, to_rotations, to_barycentrics, to_covariance, to_flat_corners,
             to_logits.numpy(), to_log_ratios.numpy(), _turns(to_rotation), to_corners,
         )  # fmt: skip
         to_vertices = None
         if ctx.needs_input_grad[0]:
             to_vertices = torch.zeros(vertices.shape)
-            backward.gather(_array(faces), to_corners, to_vertices.numpy())
+            backward.gather(array_of(faces), to_corners, to_vertices.numpy())
         return to_vertices, to_logits, to_log_ratios, to_rotation, None, None
-
-
-def _array(tensor: Tensor) -> np.ndarray:
-    return tensor.detach().contiguous().numpy()
 
 
 def _turns(rotation: Tensor | None) -> np.ndarray:
     """In-plane angles, or an array without entries where Gaussians do not turn."""
-    return np.zeros((0, 0), np.float32) if rotation is None else _array(rotation)
+    return np.zeros((0, 0), np.float32) if rotation is None else array_of(rotation)

@@ -10,7 +10,7 @@ from torch.autograd.function import once_differentiable
 
 from sculpt_framework.binders import Binding
 from sculpt_framework.constraints import Constraint
-from sculpt_framework.cpu_kernels import kernel_cache, share_threads
+from sculpt_framework.cpu_kernels import array_of, kernel_cache, share_threads
 
 with kernel_cache("mee-scale", Path(__file__).with_name("kernels.py")):
     from sculpt_plugins.constraints.mee_scale import kernels
@@ -56,8 +56,9 @@ class _CompiledExcess(torch.autograd.Function):
         share_threads()
         gradient = torch.empty(covariance.shape if ctx.needs_input_grad[1] else (0, 1, 2, 2))
         sums = np.empty(-(-len(metric) // kernels.CHUNK))
-        arrays = (metric.contiguous().numpy(), covariance.detach().contiguous().numpy())
-        kernels.excess(*arrays, np.float32(limit), np.float32(_TINY), sums, gradient.numpy())
+        kernels.excess(
+            array_of(metric), array_of(covariance), np.float32(limit), np.float32(_TINY), sums, gradient.numpy()
+        )
         ctx.save_for_backward(gradient)
         ctx.count = covariance.shape[0] * covariance.shape[1]
         return covariance.new_tensor(sums.sum() / ctx.count)

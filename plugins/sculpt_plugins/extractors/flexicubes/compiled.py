@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from sculpt_framework.cpu_kernels import kernel_cache, share_threads
+from sculpt_framework.cpu_kernels import array_of, kernel_cache, share_threads
 from sculpt_framework.geometry.band import LEAST_DROP
 from sculpt_plugins.extractors.flexicubes.octree_topology import OctreeTopology
 from sculpt_plugins.extractors.flexicubes.topology import DualTopology, quad_kernels
@@ -41,7 +41,9 @@ def second_diagonals_compiled(
     """As ``geometry.second_diagonals_in_torch``, up to rounding where both diagonals are equally good."""
     share_threads()
     second = torch.empty(len(quads), dtype=torch.bool)
-    quad_kernels.choose_diagonals(_array(vertices), _array(quads), np.float32(math.tan(preferred_by)), second.numpy())
+    quad_kernels.choose_diagonals(
+        array_of(vertices), array_of(quads), np.float32(math.tan(preferred_by)), second.numpy()
+    )
     return second
 
 
@@ -50,17 +52,17 @@ class _DualVertices(torch.autograd.Function):
     def forward(ctx, positions, sdf, alpha, beta, topology, sides, places, damp_grazing: bool):
         share_threads()
         ctx.topology, ctx.damp_grazing = topology, damp_grazing
-        at, ends, cells = _array(places), _array(topology.ends), _array(topology.cells)
-        vertex, count, points = _array(topology.vertices), topology.vertex_count, _array(positions)
+        at, ends, cells = array_of(places), array_of(topology.ends), array_of(topology.cells)
+        vertex, count, points = array_of(topology.vertices), topology.vertex_count, array_of(positions)
         weights, distances = torch.empty(len(at)), torch.empty(len(at))
         vertices, deviation = torch.zeros(count, 3), torch.zeros(count)
         total, number, mean = torch.zeros(count), torch.zeros(count), torch.zeros(count)
         dual_kernels.weigh(
-            at, ends, cells, _array(topology.cell_ends), _array(sdf), _array(alpha), _array(LEAST_DROP * sides),
+            at, ends, cells, array_of(topology.cell_ends), array_of(sdf), array_of(alpha), array_of(LEAST_DROP * sides),
             weights.numpy(),
         )  # fmt: skip
         dual_kernels.gather(
-            at, ends, cells, _array(topology.cell_edge), vertex, points, _array(beta), weights.numpy(),
+            at, ends, cells, array_of(topology.cell_edge), vertex, points, array_of(beta), weights.numpy(),
             vertices.numpy(), total.numpy(), number.numpy(),
         )  # fmt: skip
         dual_kernels.measure(at, ends, vertex, points, weights.numpy(), vertices.numpy(), distances.numpy())
@@ -75,30 +77,26 @@ class _DualVertices(torch.autograd.Function):
     def backward(ctx, to_vertices: Tensor, to_deviation: Tensor):
         share_threads()
         positions, sdf, alpha, beta, sides, places, *found = ctx.saved_tensors
-        weights, distances, vertices, total, number, mean = map(_array, found)
-        topology, at, points = ctx.topology, _array(places), _array(positions)
-        ends, cells, vertex = _array(topology.ends), _array(topology.cells), _array(topology.vertices)
-        cell_ends, cell_edge = _array(topology.cell_ends), _array(topology.cell_edge)
+        weights, distances, vertices, total, number, mean = map(array_of, found)
+        topology, at, points = ctx.topology, array_of(places), array_of(positions)
+        ends, cells, vertex = array_of(topology.ends), array_of(topology.cells), array_of(topology.vertices)
+        cell_ends, cell_edge = array_of(topology.cell_ends), array_of(topology.cell_edge)
         to_distances, to_shares = np.empty(len(at), np.float32), np.empty(len(at), np.float32)
         to_crossings, to_reaches = np.empty((len(at), 3), np.float32), np.empty((len(at), 2), np.float32)
-        slopes, lean = np.array(_array(to_vertices)), np.zeros(len(mean), np.float32)
-        dual_kernels.spread_deviation(at, vertex, distances, mean, number, _array(to_deviation), lean, to_distances)
+        slopes, lean = np.array(array_of(to_vertices)), np.zeros(len(mean), np.float32)
+        dual_kernels.spread_deviation(at, vertex, distances, mean, number, array_of(to_deviation), lean, to_distances)
         dual_kernels.spread_distances(at, ends, vertex, points, weights, vertices, distances, to_distances, slopes)
         dual_kernels.differentiate(
-            at, ends, cells, cell_ends, cell_edge, vertex, points, _array(sdf), _array(alpha), _array(beta),
-            _array(LEAST_DROP * sides), _array(sides if ctx.damp_grazing else torch.zeros_like(sides)),
+            at, ends, cells, cell_ends, cell_edge, vertex, points, array_of(sdf), array_of(alpha), array_of(beta),
+            array_of(LEAST_DROP * sides), array_of(sides if ctx.damp_grazing else torch.zeros_like(sides)),
             weights, vertices, total, distances, to_distances, slopes, to_shares, to_crossings, to_reaches,
         )  # fmt: skip
         moves = ctx.needs_input_grad[0]
         to_positions = torch.zeros(len(points) if moves else 0, 3)
         to_sdf, to_alpha, to_beta = torch.zeros_like(sdf), torch.zeros_like(alpha), torch.zeros_like(beta)
         dual_kernels.scatter(
-            at, ends, cells, cell_ends, cell_edge, _array(sdf), _array(alpha), weights,
+            at, ends, cells, cell_ends, cell_edge, array_of(sdf), array_of(alpha), weights,
             to_shares, to_crossings, to_reaches,
             to_positions.numpy(), to_sdf.numpy(), to_alpha.numpy(), to_beta.numpy(),
         )  # fmt: skip
         return to_positions if moves else None, to_sdf, to_alpha, to_beta, None, None, None, None
-
-
-def _array(tensor: Tensor) -> np.ndarray:
-    return tensor.detach().contiguous().numpy()

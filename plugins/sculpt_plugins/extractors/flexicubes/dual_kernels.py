@@ -26,6 +26,14 @@ def _crossing(ends, positions, weight, place):
 
 
 @njit(inline="always", **_OPTIONS)
+def _reaches(ends, cells, cell_ends, sdf, alpha, edge, corner):
+    """alpha |sdf| at the inner and the outer end of an edge, as one of its cells has them."""
+    cell = cells[edge, corner]
+    inner = abs(sdf[ends[edge, 0]]) * alpha[cell, cell_ends[edge, corner, 0]]
+    return inner, abs(sdf[ends[edge, 1]]) * alpha[cell, cell_ends[edge, corner, 1]]
+
+
+@njit(inline="always", **_OPTIONS)
 def _sign(value):
     # Without branches, which nothing could foresee.
     return np.float32(value > _ZERO) - np.float32(value < _ZERO)
@@ -35,10 +43,8 @@ def _sign(value):
 def weigh(places, ends, cells, cell_ends, sdf, alpha, least, weights):
     """Where along its edge, from 0 at the inner end to 1, each place sees the crossing (``band.crossing_weight``)."""
     for m in prange(places.shape[0]):
-        edge, corner = places[m] >> 2, places[m] & 3
-        cell = cells[edge, corner]
-        inner = abs(sdf[ends[edge, 0]]) * alpha[cell, cell_ends[edge, corner, 0]]
-        outer = abs(sdf[ends[edge, 1]]) * alpha[cell, cell_ends[edge, corner, 1]]
+        edge = places[m] >> 2
+        inner, outer = _reaches(ends, cells, cell_ends, sdf, alpha, edge, places[m] & 3)
         weights[m] = _HALF + _HALF * (inner - outer) / max(inner + outer, least[edge])
 
 
@@ -114,7 +120,7 @@ def differentiate(
 ):  # fmt: skip
     """From the gradient by the vertices, what it is by each place's share, its crossing and the reaches at its ends.
 
-    A reach is alpha |sdf|. ``damped_below`` as in ``band.crossing_weight``, 0 for none.
+    ``damped_below`` as in ``band.crossing_weight``, 0 for none.
     """
     for m in prange(places.shape[0]):
         place = places[m]
@@ -135,8 +141,7 @@ def differentiate(
             + gy * (positions[o, 1] - positions[i, 1])
             + gz * (positions[o, 2] - positions[i, 2])
         )
-        inner = abs(sdf[i]) * alpha[cell, cell_ends[edge, corner, 0]]
-        outer = abs(sdf[o]) * alpha[cell, cell_ends[edge, corner, 1]]
+        inner, outer = _reaches(ends, cells, cell_ends, sdf, alpha, edge, corner)
         change = inner + outer
         if change < damped_below[edge]:
             to_weight *= change / damped_below[edge]

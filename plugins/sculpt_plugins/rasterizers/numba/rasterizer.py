@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from sculpt_framework.cpu_kernels import kernel_cache, load_numba, share_threads
+from sculpt_framework.cpu_kernels import array_of, kernel_cache, load_numba, share_threads
 from sculpt_framework.rasterizers import Rasterizer, RasterOutput
 from sculpt_framework.rendering.projection import JACOBIAN_MARGIN
 from sculpt_framework.types import Camera
@@ -139,10 +139,6 @@ def _lens(camera: Camera) -> np.ndarray:
     )
 
 
-def _array(tensor: Tensor) -> np.ndarray:
-    return tensor.detach().contiguous().numpy()
-
-
 def _tile_lists(job: _Job, tiles: np.ndarray, keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(all tiles' lists of Gaussians by depth, one after the other; where each begins, and the end)."""
     scratch, count = job.lease.scratch, keys.shape[0]
@@ -183,8 +179,9 @@ class _Rasterize(torch.autograd.Function):
         tiles = scratch.take("tiles", (count, 4), np.int16)
         keys = scratch.take("keys", (count,), np.uint32)
         projection.project(
-            _array(means), _array(scales), _array(rotations), _array(opacities), _array(features), _array(pose),
-            job.lens, job.width, job.height, job.low_pass, records, records.view(np.int32), tiles, keys,
+            array_of(means), array_of(scales), array_of(rotations), array_of(opacities), array_of(features),
+            array_of(pose), job.lens, job.width, job.height, job.low_pass,
+            records, records.view(np.int32), tiles, keys,
         )  # fmt: skip
         lists, starts = _tile_lists(job, tiles, keys)
 
@@ -196,7 +193,7 @@ class _Rasterize(torch.autograd.Function):
         seen[:] = 0
         forward.composite(
             records.reshape(-1), records.shape[1], lists, blocks, starts, job.width, job.height, job.threads,
-            _array(background).reshape(-1), channels if background.ndim == 3 else 0, job.alpha_max,
+            array_of(background).reshape(-1), channels if background.ndim == 3 else 0, job.alpha_max,
             image.numpy(), alpha.numpy(), depth.numpy(), kept, seen, np.zeros(1, np.int64),
         )  # fmt: skip
         ctx.save_for_backward(means, scales, rotations, opacities, pose, image, alpha, depth)
@@ -225,7 +222,8 @@ class _Rasterize(torch.autograd.Function):
         to_opacities = torch.empty(count)
         to_pose_parts = np.empty((_POSE_PARTS if ctx.needs_input_grad[5] else 0, 3, 4))
         projection.project_backward(
-            _array(means), _array(scales), _array(rotations), _array(opacities), _array(pose), job.lens, job.low_pass,
+            array_of(means), array_of(scales), array_of(rotations), array_of(opacities),
+            array_of(pose), job.lens, job.low_pass,
             first_slot, sums, to_means.numpy(), to_scales.numpy(), to_rotations.numpy(), to_opacities.numpy(),
             to_features.numpy(), to_pose_parts,
         )  # fmt: skip
@@ -244,7 +242,7 @@ def _sums_over_pixels(
     with_shape: bool,
 ) -> tuple[np.ndarray, np.ndarray]:
     """(rows of sums as in layout.py; where each Gaussian's rows begin, and the end)."""
-    (image, alpha, depth), (to_image, to_alpha, to_depth) = (_array(tensor) for tensor in images), gradients
+    (image, alpha, depth), (to_image, to_alpha, to_depth) = (array_of(tensor) for tensor in images), gradients
     records, scratch = drawn.records, job.lease.scratch
     count, stride = records.shape
     bits = records.view(np.int32).reshape(-1)
@@ -260,9 +258,9 @@ def _sums_over_pixels(
     backward.composite_backward(
         records.reshape(-1), bits, stride, drawn.lists, drawn.blocks, drawn.starts, drawn.kept,
         job.width, job.height, job.threads, job.band_rows, job.alpha_max, image, alpha, depth,
-        np.zeros_like(image) if to_image is None else _array(to_image),
-        np.zeros_like(alpha) if to_alpha is None else _array(to_alpha),
-        alpha if to_depth is None else _array(to_depth), to_depth is not None, with_shape,
+        np.zeros_like(image) if to_image is None else array_of(to_image),
+        np.zeros_like(alpha) if to_alpha is None else array_of(to_alpha),
+        alpha if to_depth is None else array_of(to_depth), to_depth is not None, with_shape,
         sums.reshape(-1), width, np.zeros(1, np.int64),
     )  # fmt: skip
     return sums, first_slot

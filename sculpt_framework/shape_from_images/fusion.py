@@ -3,8 +3,9 @@
 from pathlib import Path
 from typing import NamedTuple
 
+import cv2
 import numpy as np
-from jaxtyping import Bool, Float32
+from jaxtyping import Bool, Float32, Int32
 from scipy import ndimage
 
 from sculpt_framework.cpu_kernels import kernel_cache, share_threads
@@ -26,6 +27,10 @@ _STIFFNESS = 0.3
 _SWEEPS = 100
 _DOUBT = 5.0
 """Margins that are added to the margin where no view tells of a cell; where its value is sure, none are."""
+_NOISE = 0.02
+"""Length of the colours' gradient, per pixel, that says as much of a place as sampling and noise do."""
+_WIDE = 1000
+"""Cells of a hollow from which on it is no pit, however shallow."""
 _CRUMB = 1e-3
 """Pieces smaller than this share of the largest are mistakes."""
 
@@ -35,16 +40,17 @@ def carve(solid: Volume, views: PackedViews, maps: DepthMaps, margin: float) -> 
 
     ``solid`` is a signed distance. What depths show less than ``margin`` below its surface is left alone, as depths are
     no more exact than that; from twice as deep on they are believed as they are. What is left after all depths are
-    believed decides which of them would have to see through it: those are not. Pits that few views tell of and bubbles
-    inside are filled, crumbs outside removed.
+    believed decides which of them would have to see through it: those are not. Pits that few views or plain colours
+    tell of and bubbles inside are filled, crumbs outside removed.
     """
     hull = solid.values < 0
-    sums = _Sums(np.zeros(hull.shape, np.float32), np.zeros(hull.shape, np.float32), np.zeros(hull.shape, bool))
-    _add_up(solid, hull, np.zeros((0, 0, 0), bool), views, maps, sums)
+    sums = _Sums(*(np.zeros(hull.shape, kind) for kind in (np.float32, np.float32, np.float32, bool)))
+    telling = _telling(views)
+    _add_up(solid, hull, np.zeros((0, 0, 0), bool), views, maps, telling, sums)
     carved = _carved(solid, _filled(solid, sums), margin)
     # Without its skin, which a line of sight along the surface may touch.
     left = np.asarray(ndimage.binary_erosion(carved < 0), dtype=bool)
-    _add_up(solid, sums.seen_through.copy(), left, views, maps, sums)
+    _add_up(solid, sums.seen_through.copy(), left, views, maps, telling, sums)
     carved = _without_pits(solid, hull, sums, margin)
     return solid.holding(signed_distance(_one_piece(carved < 0, hull), carved, solid.cell))
 
@@ -55,13 +61,26 @@ class _Sums(NamedTuple):
     distance: Float32[np.ndarray, "x y z"]
     """To what is seen, cut at the truncation, over the views that say something."""
     views: Float32[np.ndarray, "x y z"]
+    told: Float32[np.ndarray, "x y z"]
+    """Over these views, how much the colours there tell of a place, from 0 to 1."""
     seen_through: Bool[np.ndarray, "x y z"]
     """Whether a view sees beyond the truncation here."""
 
-    @property
-    def sureness(self) -> Float32[np.ndarray, "x y z"]:
-        """From 0, where no view says anything, to 1."""
-        return np.minimum(self.views, np.float32(_SURE)) / np.float32(_SURE)
+
+def _telling(views: PackedViews) -> Float32[np.ndarray, "v h w"]:
+    """How much the colours around a pixel tell of a place, from 0 on a plain surface to 1.
+
+    The variance of a match is that of the noise over the square of the gradient, here the mean over 3 x 3 pixels. The
+    outline moves over the surface from view to view, so pixels next to it tell nothing.
+    """
+    telling = np.zeros(views.inside.shape, np.float32)
+    for image, inside, out in zip(views.colors, views.inside, telling, strict=True):
+        steps = [cv2.Sobel(image, cv2.CV_32F, x, 1 - x, scale=1 / 8) for x in (0, 1)]
+        square = cv2.blur(np.square(steps).sum(axis=(0, 3)), (3, 3))
+        # As far as the gradients of 3 x 3 pixels reach.
+        interior = cv2.erode(inside.astype(np.float32), np.ones((5, 5)), borderType=cv2.BORDER_CONSTANT, borderValue=0)
+        out[:] = interior * square / (square + np.float32(_NOISE**2))
+    return telling
 
 
 def _add_up(
@@ -70,6 +89,7 @@ def _add_up(
     blocked: Bool[np.ndarray, "x2 y2 z2"],
     views: PackedViews,
     maps: DepthMaps,
+    telling: Float32[np.ndarray, "v h w"],
     sums: _Sums,
 ) -> None:
     """Make the sums of these cells anew, believing no depth that sees through ``blocked`` cells, if there are any."""
@@ -77,6 +97,7 @@ def _add_up(
         solid.points,
         wanted.reshape(-1),
         maps.depths,
+        telling,
         views.poses,
         views.lenses,
         views.positions,
@@ -92,7 +113,12 @@ def _filled(solid: Volume, sums: _Sums) -> Float32[np.ndarray, "x y z"]:
     """Distance to what the maps show, from the shape known before where no view knows."""
     truncation = _truncation(solid)
     prior = np.clip(solid.values, -truncation, truncation)
-    return _fill(sums.distance / np.maximum(sums.views, 1), sums.sureness, prior)
+    return _fill(sums.distance / np.maximum(sums.views, 1), _sureness(sums.views), prior)
+
+
+def _sureness(views: Float32[np.ndarray, "x y z"]) -> Float32[np.ndarray, "x y z"]:
+    """From 0, where no view says anything, to 1."""
+    return np.minimum(views, np.float32(_SURE)) / np.float32(_SURE)
 
 
 def _truncation(solid: Volume) -> np.float32:
@@ -110,27 +136,31 @@ def _carved(
 def _without_pits(
     solid: Volume, hull: Bool[np.ndarray, "x y z"], sums: _Sums, margin: float
 ) -> Float32[np.ndarray, "x y z"]:
-    """What depths carve, without the hollows that are shallow for how few views tell of them.
+    """What depths carve, without the hollows that are shallow for how little tells of them.
 
-    The fewer, the more grazing they look, and the more their depths err together. Widening the margin for all they say
-    would fill the deep, narrow hollows as well, which few views see either. So a hollow, which is what hangs together
-    by the faces of its cells, is left as it is if any of its cells is carved with the wider margin, too.
+    The fewer views see a place, the more grazing they look, and the more their depths err together; on a plain surface
+    many agree on a wrong depth, as any matches. Widening the margin for all they say would fill the deep, narrow
+    hollows as well, which few views see either. So a hollow, which is what hangs together by the faces of its cells, is
+    left as it is if any of its cells is carved with the wider margin, too, or if it is wide.
     """
     seen = _filled(solid, sums)
     carved = _carved(solid, seen, margin)
-    cautious = _carved(solid, seen, np.float32(margin) * (1 + np.float32(_DOUBT) * (1 - sums.sureness)))
+    cautious = _carved(solid, seen, np.float32(margin) * (1 + np.float32(_DOUBT) * (1 - _sureness(sums.told))))
     hollows = hull & (carved >= 0)
-    deep = _pieces_with(hollows, cautious >= 0)
+    piece = _pieces(hollows)
+    sizes = np.bincount(piece.reshape(-1))
+    deep = np.bincount(piece[hollows & (cautious >= 0)], minlength=len(sizes)) > 0
+    pits = hollows & ~(deep | (sizes >= _WIDE))[piece]
     # The distance is bent towards a pit in the cells round it as well.
-    around = np.asarray(ndimage.binary_dilation(hollows & ~deep, iterations=2), dtype=bool) & ~deep
+    around = np.asarray(ndimage.binary_dilation(pits, iterations=2), dtype=bool) & (pits | ~hollows)
     return np.where(around, cautious, carved)
 
 
-def _pieces_with(cells: Bool[np.ndarray, "x y z"], marked: Bool[np.ndarray, "x y z"]) -> Bool[np.ndarray, "x y z"]:
-    """Of what hangs together by the faces of its cells, the pieces that have a marked cell."""
-    label = np.zeros(cells.shape, np.int32)
-    ndimage.label(cells, output=label)
-    return (np.bincount(label[cells & marked], minlength=int(label.max()) + 1) > 0)[label]
+def _pieces(cells: Bool[np.ndarray, "x y z"]) -> Int32[np.ndarray, "x y z"]:
+    """The number, from 1 on, of what hangs together by the faces of its cells; 0 elsewhere."""
+    piece = np.zeros(cells.shape, np.int32)
+    ndimage.label(cells, output=piece)
+    return piece
 
 
 def _fill(
@@ -154,14 +184,14 @@ def _one_piece(inside: Bool[np.ndarray, "x y z"], hull: Bool[np.ndarray, "x y z"
     inside."""
     hull = np.asarray(ndimage.binary_fill_holes(hull), dtype=bool)
     wide = np.asarray(ndimage.binary_erosion(~inside, border_value=1), dtype=bool)
-    outside = _pieces_with(wide, ~hull)
-    open_space = np.asarray(ndimage.binary_dilation(outside, mask=~inside), dtype=bool)
+    piece = _pieces(wide)
+    outside = np.bincount(piece[wide & ~hull], minlength=int(piece.max()) + 1) > 0
+    open_space = np.asarray(ndimage.binary_dilation(outside[piece], mask=~inside), dtype=bool)
     solid = hull & ~open_space
-    label = np.zeros(solid.shape, np.int32)
-    ndimage.label(solid, output=label)
-    sizes = np.bincount(label.reshape(-1))
+    piece = _pieces(solid)
+    sizes = np.bincount(piece.reshape(-1))
     sizes[0] = 0
-    return (sizes >= max(1, _CRUMB * sizes.max()))[label]
+    return (sizes >= max(1, _CRUMB * sizes.max()))[piece]
 
 
 def signed_distance(

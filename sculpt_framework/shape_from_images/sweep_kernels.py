@@ -349,9 +349,10 @@ def _clear(solid, origin, cell, x, y, z, camera):
 
 
 @njit(parallel=True, **_OPTIONS)
-def fuse(points, wanted, depths, poses, lenses, positions, truncation, solid, origin, cell, total, weight, through):
+def fuse(points, wanted, depths, telling, poses, lenses, positions, truncation, solid, origin, cell, total, count, told, through):  # fmt: skip # noqa: E501
     """Per ``wanted`` point, the sum over views of how far in front of the seen surface it lies, the number of such
-    views, and whether one sees ``through`` it. Other points keep what they have.
+    views, the sum of what their images are ``telling`` there, and whether one sees ``through`` it. Other points keep
+    what they have.
 
     Cut at ``truncation`` in front; a view says nothing about what lies deeper than that behind what it sees, nor that a
     place is empty which it would have to see through what is ``solid``.
@@ -360,7 +361,7 @@ def fuse(points, wanted, depths, poses, lenses, positions, truncation, solid, or
         if not wanted[n]:
             continue
         x, y, z = points[n, 0], points[n, 1], points[n, 2]
-        total[n], weight[n], through[n] = np.float32(0), np.float32(0), False
+        total[n], count[n], told[n], through[n] = np.float32(0), np.float32(0), np.float32(0), False
         for i in range(depths.shape[0]):
             u, v, far = _project(poses, lenses, i, x, y, z)
             if not far > _NEAR:
@@ -373,7 +374,9 @@ def fuse(points, wanted, depths, poses, lenses, positions, truncation, solid, or
                 if not _clear(solid, origin, cell, x, y, z, positions[i]):
                     continue
             total[n] += min(ahead, truncation)
-            weight[n] += _ONE
+            count[n] += _ONE
+            # The depth is known there, so the place is within the image.
+            told[n] += telling[i, np.uintp(v), np.uintp(u)]
 
 
 @njit(parallel=True, **_OPTIONS)

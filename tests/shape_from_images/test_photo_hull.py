@@ -1,6 +1,7 @@
 """A first shape from silhouettes and colours, on a ball with a deep dent."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -161,15 +162,26 @@ def test_exact_depths_carve_the_exact_shape(views):
 
 
 @pytest.mark.parametrize(
-    ("bottom", "count", "carves"), [(0.72, 3, False), (0.72, 16, True), (0.4, 3, True)], ids=["pit", "sure", "deep"]
+    ("bottom", "radius", "count", "plain", "carves"),
+    [
+        (0.72, 0.2, 3, False, False),
+        (0.72, 0.2, 16, False, True),
+        (0.72, 0.2, 16, True, False),
+        (0.4, 0.2, 3, False, True),
+        (0.4, 0.2, 16, True, True),
+        (0.66, 9.0, 16, True, True),
+    ],
+    ids=["pit", "sure", "plain", "deep", "deep and plain", "wide and plain"],
 )
-def test_shallow_hollows_need_many_views(views, bottom, count, carves):
+def test_shallow_hollows_need_many_views_of_something(views, bottom, radius, count, plain, carves):
     """In the side of a ball, of which only so many views know anything there."""
     packed = pack_views(views, 48.0)
+    if plain:
+        packed = replace(packed, colors=np.full_like(packed.colors, 0.5) * packed.inside[..., None])
     straight = np.argsort(-packed.positions[:, 0] / np.linalg.norm(packed.positions, axis=1))
 
     def hollow(p: np.ndarray) -> np.ndarray:
-        dug = capsule(p, (bottom + 0.2, 0.0, 0.0), (1.2, 0.0, 0.0), 0.2)
+        dug = capsule(p, (bottom + radius, 0.0, 0.0), (bottom + radius + 1.0, 0.0, 0.0), radius)
         return np.maximum(sphere(p, (0.0, 0.0, 0.0), 0.8), -dug)
 
     told = exact_depths(packed, hollow)

@@ -1,4 +1,4 @@
-"""The far side: what no view shows, closed smoothly where the hull has a cone."""
+"""The far side: what no view shows, closed by a membrane where the hull has a cone."""
 
 import logging
 
@@ -16,9 +16,19 @@ _BLUR = 20
 """Rounds of averaging over neighbours that make patches of what single vertices say."""
 _RINGS = 3
 """Vertices around a patch, ring by ring, that stay where they are: with two of them tangents go on across its edge."""
+_SIDES = (3, 7)
+"""Rings from the edge of a patch, the first and the last, whose normals tell whether there is a crease. Nearer ones are
+rounded off by the cells."""
+_SPREAD = 10
+"""Rounds of averaging over neighbours that bring these normals to the edge."""
+_CREASE = (15.0, 30.0)
+"""Degrees between the normals on both sides of an edge: up to the first the surface goes on as it is, from the second
+on it ends there."""
+_THIN = 2.0
+"""Cells that are left below what is seen, at least."""
 _SOUND = 0.05
 """Cells that a centre is away from the surface at least when triangles are made: none of them is a needle."""
-_MOST = 0.25
+_MOST = 0.4
 """Share of the surface above which the rest says too little about the unseen: one to three views leave half of it."""
 _WORTH = 0.5
 """Cells that something has to move for it to be worth doing."""
@@ -29,10 +39,13 @@ def close_unseen(solid: Volume, positions: Float32[np.ndarray, "v 3"]) -> Volume
 
     ``solid`` is a signed distance, negative inside, and the positions those of the cameras, both in the object frame.
     The lines of sight that touch an object's outline go on behind it and meet in a cone. There each patch of the
-    surface that no camera can see becomes the membrane of least bending (bi-Laplacian, Botsch and Kobbelt 2004) that
-    leaves the surface around it in the direction that that has. Nothing is added, as the silhouettes bound the object,
-    and nothing is cut off that lies nearer to what is seen. Parts that only others hide are left as they are. Returns
-    ``solid`` itself if less than half a cell would change, or if more than a quarter of the surface is not seen.
+    surface that no camera can see becomes a membrane of least bending (bi-Laplacian, Botsch and Kobbelt 2004). On a
+    round object the cone touches the surface, and the membrane leaves it in the direction that it has. A cone that
+    starts at a crease starts at an edge of the object: there the direction is free, and where it is all around the
+    membrane is a soap film, flat under a flat rim. Nothing is added, as the silhouettes bound the object, and of what
+    lies nearer to what is seen than to the cone two cells are left. Parts that only others hide stay as they are.
+    Returns ``solid`` itself if less than half a cell would change, or if more than two fifths of the surface are not
+    seen.
     """
     vertices, faces = _triangles(solid)
     if not len(faces):
@@ -51,9 +64,10 @@ def close_unseen(solid: Volume, positions: Float32[np.ndarray, "v 3"]) -> Volume
         return solid
     values = solid.values.copy()
     window = _window(vertices[unseen], 2 * (reach + 2 * solid.cell), solid)
-    # Only what is nearer to the patch, so that it is not drawn through what is seen.
+    # The membrane is not drawn through what is seen.
     to_unseen, to_seen = (_distance_to(vertices[part], solid, window) for part in (unseen, ~unseen))
-    near = (values[window] < 0) & (to_unseen < to_seen) & (to_unseen < reach + 2 * solid.cell)
+    behind = (to_unseen < to_seen) | (to_seen > _THIN * solid.cell)
+    near = (values[window] < 0) & behind & (to_unseen < reach + 2 * solid.cell)
     centers = solid.points.reshape(*solid.shape, 3)[window][near].astype(np.float64)
     kind = igl.SIGNED_DISTANCE_TYPE_FAST_WINDING_NUMBER
     distances = np.asarray(igl.signed_distance(centers, closed, faces, sign_type=kind)[0])
@@ -100,15 +114,52 @@ def _least_bending(
     adjacency: sparse.csc_matrix,
     free: Bool[np.ndarray, " n"],
 ) -> Float[np.ndarray, "n 3"]:
-    """Vertices, those that are free where the surface bends least. Solves for these and some rings around only."""
-    part = free
-    for _ in range(_RINGS):
-        part = part | (adjacency @ part.astype(np.float64) > 0)
+    """Vertices, those that are free where the surface bends least. Solves for these and some rings around only.
+
+    Minimises the squared Laplacian over the free vertices and, as far as the surface goes on into the patch without a
+    crease, over those at its edge, which is what ties the direction in which the patch begins.
+    """
+    part = _ring_numbers(adjacency, free, _RINGS) <= _RINGS
     own, numbers = np.unique(faces[part[faces].all(axis=1)], return_inverse=True)
+    corners, triangles = vertices[own], numbers.reshape(-1, 3)
+    laplacian, mass = igl.cotmatrix(corners, triangles), igl.massmatrix(corners, triangles).diagonal()
+    counted = np.where(free, 1.0, _going_on(vertices, faces, adjacency, free))[own]
+    energy = sparse.csc_matrix(laplacian.T @ sparse.diags(counted / mass) @ laplacian)
     held = np.flatnonzero(~free[own])
     moved = vertices.copy()
-    moved[own] = igl.harmonic(vertices[own], numbers.reshape(-1, 3), held, vertices[own][held], 2)
+    moved[own] = igl.min_quad_with_fixed(energy, np.zeros(corners.shape), held, corners[held])
     return moved
+
+
+def _going_on(
+    vertices: Float[np.ndarray, "n 3"],
+    faces: Int64[np.ndarray, "f 3"],
+    adjacency: sparse.csc_matrix,
+    free: Bool[np.ndarray, " n"],
+) -> Float[np.ndarray, " n"]:
+    """From 0, where the surface has a crease between the free part and the rest, to 1; 0 far from the edge between."""
+    normals = np.nan_to_num(igl.per_vertex_normals(vertices, faces))
+    counts = np.maximum(np.asarray(adjacency.sum(axis=1)), 1)
+    first, last = _SIDES
+    sides = []
+    for part in (free, ~free):
+        ring = _ring_numbers(adjacency, ~part, last)
+        direction = np.where((part & (ring >= first) & (ring <= last))[:, None], normals, 0.0)
+        for _ in range(_SPREAD):
+            direction = 0.5 * (direction + (adjacency @ direction) / counts)
+        sides.append(direction / np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-12))
+    angle = np.degrees(np.arccos(np.clip(np.einsum("ij,ij->i", *sides), -1, 1)))
+    smooth, creased = _CREASE
+    return np.clip((creased - angle) / (creased - smooth), 0, 1)
+
+
+def _ring_numbers(adjacency: sparse.csc_matrix, start: Bool[np.ndarray, " n"], last: int) -> Int64[np.ndarray, " n"]:
+    """Edges from a vertex to the nearest of the start, ``last + 1`` for those that are further away."""
+    ring = np.where(start, 0, last + 1)
+    for number in range(1, last + 1):
+        touched = adjacency @ (ring < number).astype(np.float64) > 0
+        ring = np.where(touched, np.minimum(ring, number), ring)
+    return ring
 
 
 def _cells_of(points: Float[np.ndarray, "n 3"], solid: Volume) -> Int64[np.ndarray, "n 3"]:

@@ -98,3 +98,58 @@ def test_a_thin_plate_keeps_its_thickness():
     closed = close_unseen(shape, cameras())
     solid = (shape.values < 0).sum()
     assert (closed.values < 0).sum() > 0.97 * solid
+
+
+HEIGHT = 0.7
+"""Of the lowest of the cameras that look down on what stands on a table, above it."""
+
+
+def from_above() -> np.ndarray:
+    return (3 * cameras() + np.array([0, 0, HEIGHT])).astype(np.float32)
+
+
+def standing(above: np.ndarray, half_side: float) -> Volume:
+    """The hull of a shape on a square foot at height 0: below it the lines of sight that touch the foot go on.
+
+    ``above`` is negative inside of the shape, above the foot.
+    """
+    x, y, z = centers().T
+    side, slope = np.maximum(np.abs(x), np.abs(y)), HEIGHT / (3 * DISTANCE - half_side)
+    pyramid = (slope * (side - half_side) - z) / np.hypot(slope, 1)
+    values = np.maximum(np.where(z < 0, pyramid, -1.0), np.maximum(side - half_side, above))
+    return volume(values.reshape(CELLS, CELLS, CELLS))
+
+
+def lowest(shape: Volume, radius: float) -> float:
+    """Height of the lowest cell inside, this near to the axis."""
+    x, y, z = centers().T
+    return float(z[(np.hypot(x, y) < radius) & (shape.values.reshape(-1) < 0)].min())
+
+
+def test_a_pyramid_below_a_sharp_rim_becomes_flat():
+    """Nothing tells where the lower side of what stands on a table goes on from its edges."""
+    shape = standing(centers()[:, 2] - 0.4, 0.6)
+    closed = close_unseen(shape, from_above())
+    assert lowest(shape, 0.1) < -4 * shape.cell
+    assert lowest(closed, 0.5) > -shape.cell
+    # What is seen stays.
+    above = centers()[:, 2].reshape(shape.shape) > 2 * shape.cell
+    assert ((closed.values < 0) == (shape.values < 0))[above].all()
+
+
+def test_a_membrane_does_not_cut_through_what_is_seen():
+    """A bowl whose floor, seen from above, is lower than the rim that a flat lower side would hang from."""
+    x, y, z = centers().T
+    floor = -0.04
+    hollow = 0.34 - np.sqrt(x**2 + y**2 + (z - floor - 0.34) ** 2)
+    shape = standing(np.maximum(z - 0.2, hollow), 0.6)
+    closed = close_unseen(shape, from_above())
+    assert lowest(shape, 0.05) < lowest(closed, 0.05) < floor - shape.cell
+
+
+def test_a_patch_of_a_few_vertices_is_closed_as_well():
+    """Nothing is left of it at the rings where a crease is looked for."""
+    shape = standing(centers()[:, 2] - 0.4, 0.1)
+    closed = close_unseen(shape, from_above())
+    assert np.isfinite(closed.values).all()
+    assert (closed.values < 0).any()

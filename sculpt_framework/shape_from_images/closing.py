@@ -24,7 +24,7 @@ _SPREAD = 10
 _CREASE = (15.0, 30.0)
 """Degrees between the normals on both sides of an edge: up to the first the surface goes on as it is, from the second
 on it ends there."""
-_THIN = 2.0
+_THIN = 1.5
 """Cells that are left below what is seen, at least."""
 _SOUND = 0.05
 """Cells that a centre is away from the surface at least when triangles are made: none of them is a needle."""
@@ -43,7 +43,7 @@ def close_unseen(solid: Volume, positions: Float32[np.ndarray, "v 3"]) -> Volume
     round object the cone touches the surface, and the membrane leaves it in the direction that it has. A cone that
     starts at a crease starts at an edge of the object: there the direction is free, and where it is all around the
     membrane is a soap film, flat under a flat rim. Nothing is added, as the silhouettes bound the object, and of what
-    lies nearer to what is seen than to the cone two cells are left. Parts that only others hide stay as they are.
+    lies nearer to what is seen than to the cone one and a half cells are left. Parts that only others hide stay as they are.
     Returns ``solid`` itself if less than half a cell would change, or if more than two fifths of the surface are not
     seen.
     """

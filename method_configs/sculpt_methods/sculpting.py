@@ -60,7 +60,7 @@ def gaussian_sculpting_tiny() -> MethodConfig:
         base,
         method="gaussian-sculpting-tiny",
         plan=PlanConfig(mode="off"),
-        initializer=VisualHullConfig(),
+        initializer=VisualHullConfig(cells=0),
         trainer=replace(
             base.trainer,
             outer_steps=24,

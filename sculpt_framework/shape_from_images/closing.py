@@ -28,8 +28,10 @@ _THIN = 1.5
 """Cells that are left below what is seen, at least."""
 _SOUND = 0.05
 """Cells that a centre is away from the surface at least when triangles are made: none of them is a needle."""
-_MOST = 0.4
-"""Share of the surface above which the rest says too little about the unseen: one to three views leave half of it."""
+_FEWEST = 5
+"""Views: fewer leave too much to guess at."""
+_MOST = 0.5
+"""Share of the surface above which the rest says too little about the unseen; of a plate it is a little less."""
 _WORTH = 0.5
 """Cells that something has to move for it to be worth doing."""
 
@@ -43,12 +45,12 @@ def close_unseen(solid: Volume, positions: Float32[np.ndarray, "v 3"]) -> Volume
     round object the cone touches the surface, and the membrane leaves it in the direction that it has. A cone that
     starts at a crease starts at an edge of the object: there the direction is free, and where it is all around the
     membrane is a soap film, flat under a flat rim. Nothing is added, as the silhouettes bound the object, and of what
-    lies nearer to what is seen than to the cone one and a half cells are left. Parts that only others hide stay as they are.
-    Returns ``solid`` itself if less than half a cell would change, or if more than two fifths of the surface are not
-    seen.
+    lies nearer to what is seen than to the cone a cell and a half are left. Parts that only others hide stay as they
+    are. Returns ``solid`` itself if less than half a cell would change, if there are fewer than five views, or if more
+    than half of the surface is not seen.
     """
     vertices, faces = _triangles(solid)
-    if not len(faces):
+    if not len(faces) or len(positions) < _FEWEST:
         return solid
     adjacency = igl.adjacency_matrix(faces)
     unseen = _unseen(vertices, faces, adjacency, positions)

@@ -55,6 +55,15 @@ class Volume:
 
         return value
 
+    def within(self, outer: SdfFunction, device: torch.device) -> SdfFunction:
+        """What lies in the volume's shape and in ``outer`` as well, which may be known more exactly than in cells."""
+        own = self.interpolator(device)
+
+        def value(points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
+            return torch.maximum(own(points), outer(points))
+
+        return value
+
 
 def sample(
     function: SdfFunction,

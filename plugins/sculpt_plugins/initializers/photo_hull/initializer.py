@@ -62,9 +62,4 @@ class PhotoHull(Initializer):
         shape = close_unseen(shape, packed.positions)
         if shape is solid:
             return
-        carved = shape.interpolator(device)
-
-        def photo_hull(points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
-            return torch.maximum(carved(points), hull(points))
-
-        yield photo_hull
+        yield shape.within(hull, device)

@@ -2,19 +2,25 @@
 
 from collections.abc import Iterator, Sequence
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from sculpt_framework.extractors import SdfFunction
 from sculpt_framework.initializers import Initializer
+from sculpt_framework.shape_from_images.closing import close_unseen
 from sculpt_framework.shape_from_images.hull import visual_hull
+from sculpt_framework.shape_from_images.volume import sample
 from sculpt_framework.types import View
+from sculpt_plugins.initializers.visual_hull.config import VisualHullConfig
 
 
 class VisualHull(Initializer):
-    def __init__(self, max_views: int):
-        self._max_views = max_views
+    """The hull itself, then, where some of its surface faces away from all views, the hull with that side closed."""
+
+    def __init__(self, config: VisualHullConfig):
+        self._config = config
 
     @property
     def silhouette_first(self) -> bool:
@@ -23,4 +29,13 @@ class VisualHull(Initializer):
     def targets(
         self, views: Sequence[View], half_sides: Float[Tensor, " 3"], device: torch.device
     ) -> Iterator[SdfFunction]:
-        yield visual_hull(views, self._max_views, device)
+        hull = visual_hull(views, self._config.max_views, device)
+        yield hull
+        if self._config.cells == 0:
+            return
+        x, y, z = (float(side) for side in half_sides)
+        solid = sample(hull, (x, y, z), self._config.cells, device)
+        positions = [view.camera.position.float().cpu().numpy() for view in views if view.alpha is not None]
+        closed = close_unseen(solid, np.stack(positions))
+        if closed is not solid:
+            yield closed.within(hull, device)

@@ -23,6 +23,7 @@ from sculpt_framework.engine.parallel import Alone, Processes, ProcessLost
 from sculpt_framework.engine.polish import polish
 from sculpt_framework.engine.reconstruction import Reconstruction, reconstruct
 from sculpt_framework.engine.schedule import Pace, Schedule
+from sculpt_framework.engine.silhouettes_first import shape_by_silhouettes
 from sculpt_framework.engine.state import Progress, capture, restore, split_best, with_best
 from sculpt_framework.engine.trainer import BiLevelTrainer
 from sculpt_framework.engine.view_pictures import Album
@@ -139,6 +140,8 @@ class Pipeline:
         error = fit_to_views(field, self.config, self._views, box, detail, random, device, seen)
         self._trainer.equalize()
         self._emit("decision", announcements.initial_surface(self.config, error))
+        if (shaped := shape_by_silhouettes(self._parts, self.config, self._views, box)) is not None:
+            self._emit("decision", shaped)
 
     def _advance(self, progress: float) -> None:
         """One outer step, with what comes before and after it."""

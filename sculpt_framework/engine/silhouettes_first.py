@@ -1,0 +1,68 @@
+"""A start that knows nothing takes its shape from silhouettes alone, before colours can tell anything (paper, 3.3)."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from sculpt_framework.config import MethodConfig, StageConfig
+from sculpt_framework.engine.assembly import SILHOUETTE, Parts, find_seeds, set_level
+from sculpt_framework.engine.images import TrainingImage, pixel_footprint, prepare_images
+from sculpt_framework.engine.trainer import BiLevelTrainer
+from sculpt_framework.errors import TrainingFailed
+from sculpt_framework.extractors import EmptySurfaceError
+from sculpt_framework.types import Box, View
+
+_STEPS = 150
+"""On each level, at most."""
+_VIEWS = 4
+_LAST_RATE = 0.1
+"""Of the surface's rate that a level begins with."""
+_WINDOW, _GAIN = 20, 0.02
+"""A level ends once the loss of so many steps is not this share better than that of as many before."""
+
+
+def shape_by_silhouettes(parts: Parts, config: MethodConfig, views: Sequence[View], box: Box) -> dict[str, Any] | None:
+    """Fit the field's surface to the masks, on all levels coarser than the first stage's; views in world frame.
+
+    Only where the initializer asks for it, there are masks and a term that looks at them, and the method does not begin
+    with such a stage itself. Returns the data of the decision if it was done. Optimisers begin anew after it. Raises
+    TrainingFailed if the surface is lost on the way.
+    """
+    trainer, first = parts.trainer, config.trainer.stages[0]
+    if not config.initializer.build().silhouette_first or first.silhouette_only:
+        return None
+    if not trainer.objectives.silhouettes or all(view.alpha is None for view in views):
+        return None
+    taken, loss = 0, math.nan
+    try:
+        for level in range(max(1, first.level)):
+            scale = first.image_scale / 2 ** (first.level - level)
+            stage = StageConfig(
+                share=1.0, level=level, image_scale=scale, inner_steps=0, outer_views=_VIEWS, silhouette_only=True
+            )
+            set_level(parts, level)
+            find_seeds(parts)
+            images = prepare_images(views, box, scale, parts.device)
+            trainer.scene.blur = math.sqrt(config.trainer.low_pass_px2) * pixel_footprint(images)
+            losses = _fit(trainer, images, stage)
+            taken, loss = taken + len(losses), losses[-1]
+    except (EmptySurfaceError, FloatingPointError) as error:
+        hint = "start with --initializer visual-hull"
+        raise TrainingFailed(f"silhouettes cannot shape the start ({error}); {hint}") from error
+    trainer.seeds, trainer.extraction, trainer.view_order = None, None, []
+    trainer.optimizer.load_state({})
+    trainer.scene.forget()
+    return {"item": "silhouettes first", "value": f"{taken} steps", "loss": loss}
+
+
+def _fit(trainer: BiLevelTrainer, images: Sequence[TrainingImage], stage: StageConfig) -> list[float]:
+    """Silhouette steps until they gain no more; the loss of each."""
+    losses: list[float] = []
+    for step in range(_STEPS):
+        settled = trainer.settle(images, stage, 1.0)
+        report = trainer.update(settled, images, stage, _LAST_RATE ** (step / _STEPS))
+        losses.append(report.terms[SILHOUETTE])
+        before, now = losses[-2 * _WINDOW : -_WINDOW], losses[-_WINDOW:]
+        if len(before) == _WINDOW and sum(now) > (1 - _GAIN) * sum(before):
+            break
+    return losses

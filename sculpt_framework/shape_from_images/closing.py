@@ -30,8 +30,8 @@ _SOUND = 0.05
 """Cells that a centre is away from the surface at least when triangles are made: none of them is a needle."""
 _FEWEST = 5
 """Views: fewer leave too much to guess at."""
-_MOST = 0.5
-"""Share of the surface above which the rest says too little about the unseen; of a plate it is a little less."""
+_MOST = 0.6
+"""Share of the surface above which the rest says too little about the unseen; of a plate it is about half."""
 _WORTH = 0.5
 """Cells that something has to move for it to be worth doing."""
 
@@ -47,7 +47,7 @@ def close_unseen(solid: Volume, positions: Float32[np.ndarray, "v 3"]) -> Volume
     membrane is a soap film, flat under a flat rim. Nothing is added, as the silhouettes bound the object, and of what
     lies nearer to what is seen than to the cone a cell and a half are left. Parts that only others hide stay as they
     are. Returns ``solid`` itself if less than half a cell would change, if there are fewer than five views, or if more
-    than half of the surface is not seen.
+    than three fifths of the surface are not seen.
     """
     vertices, faces = _triangles(solid)
     if not len(faces) or len(positions) < _FEWEST:

@@ -36,6 +36,8 @@ from sculpt_framework.types import Scene, Surface
 _RECOVERIES_AT_MOST = 3
 _UNSTABLE = (FloatingPointError, EmptySurfaceError)
 """What a step or a measurement raises when the optimisation has gone wrong."""
+_AFTER_SILHOUETTES = 0.6
+"""Of a time limit, what is left for the stages where a start has to be shaped by silhouettes first."""
 _MARGIN_DB = 0.3
 """By which an earlier state's held-out views must be better: less is chance, and rates were higher then."""
 
@@ -140,7 +142,8 @@ class Pipeline:
         error = fit_to_views(field, self.config, self._views, box, detail, random, device, seen)
         self._trainer.equalize()
         self._emit("decision", announcements.initial_surface(self.config, error))
-        if (shaped := shape_by_silhouettes(self._parts, self.config, self._views, box)) is not None:
+        end = self.clock.deadline(self.config.max_time, share_left=_AFTER_SILHOUETTES, seconds_left=3.0)
+        if (shaped := shape_by_silhouettes(self._parts, self.config, self._views, box, end)) is not None:
             self._emit("decision", shaped)
 
     def _advance(self, progress: float) -> None:

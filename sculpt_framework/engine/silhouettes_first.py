@@ -1,6 +1,7 @@
 """A start that knows nothing takes its shape from silhouettes alone, before colours can tell anything (paper, 3.3)."""
 
 import math
+import time
 from collections.abc import Sequence
 from typing import Any
 
@@ -21,9 +22,12 @@ _WINDOW, _GAIN = 20, 0.02
 """A level ends once the loss of so many steps is not this share better than that of as many before."""
 
 
-def shape_by_silhouettes(parts: Parts, config: MethodConfig, views: Sequence[View], box: Box) -> dict[str, Any] | None:
+def shape_by_silhouettes(
+    parts: Parts, config: MethodConfig, views: Sequence[View], box: Box, end: float | None
+) -> dict[str, Any] | None:
     """Fit the field's surface to the masks, on all levels coarser than the first stage's; views in world frame.
 
+    ``end`` is a ``time.monotonic()`` instant at which it has to be done, if there is one.
     Only where the initializer asks for it, there are masks and a term that looks at them, and the method does not begin
     with such a stage itself. Returns the data of the decision if it was done. Optimisers begin anew after it. Raises
     TrainingFailed if the surface is lost on the way.
@@ -44,8 +48,8 @@ def shape_by_silhouettes(parts: Parts, config: MethodConfig, views: Sequence[Vie
             find_seeds(parts)
             images = prepare_images(views, box, scale, parts.device)
             trainer.scene.blur = math.sqrt(config.trainer.low_pass_px2) * pixel_footprint(images)
-            losses = _fit(trainer, images, stage)
-            taken, loss = taken + len(losses), losses[-1]
+            losses = _fit(trainer, images, stage, end)
+            taken, loss = taken + len(losses), (losses or [loss])[-1]
     except (EmptySurfaceError, FloatingPointError) as error:
         hint = "start with --initializer visual-hull"
         raise TrainingFailed(f"silhouettes cannot shape the start ({error}); {hint}") from error
@@ -55,10 +59,14 @@ def shape_by_silhouettes(parts: Parts, config: MethodConfig, views: Sequence[Vie
     return {"item": "silhouettes first", "value": f"{taken} steps", "loss": loss}
 
 
-def _fit(trainer: BiLevelTrainer, images: Sequence[TrainingImage], stage: StageConfig) -> list[float]:
-    """Silhouette steps until they gain no more; the loss of each."""
+def _fit(
+    trainer: BiLevelTrainer, images: Sequence[TrainingImage], stage: StageConfig, end: float | None
+) -> list[float]:
+    """Silhouette steps until they gain no more, or their time is over; the loss of each."""
     losses: list[float] = []
     for step in range(_STEPS):
+        if trainer.processes.first(lambda: end is not None and time.monotonic() >= end):
+            break
         settled = trainer.settle(images, stage, 1.0)
         report = trainer.update(settled, images, stage, _LAST_RATE ** (step / _STEPS))
         losses.append(report.terms[SILHOUETTE])

@@ -1,5 +1,6 @@
 """A start from a sphere takes its shape from the masks before colours count; other starts do not need it."""
 
+import time
 from dataclasses import replace
 
 import pytest
@@ -7,6 +8,8 @@ import torch
 from small_runs import TWO_STAGES, Outcome, small_config, train
 
 from sculpt_framework.engine import silhouettes_first
+from sculpt_framework.engine.events import Event
+from sculpt_framework.engine.pipeline import Pipeline
 from sculpt_framework.errors import TrainingFailed
 from sculpt_framework.extractors import EmptySurfaceError
 from sculpt_framework.types import Scene
@@ -54,6 +57,18 @@ def test_starts_that_know_the_silhouettes_are_left_alone(scene: Scene):
 def test_a_method_that_begins_with_silhouettes_itself_is_left_alone(scene: Scene):
     own = (replace(TWO_STAGES[0], silhouette_only=True, inner_steps=0), TWO_STAGES[1])
     assert not shaping(train(small_config(initializer=SphereConfig(), outer_steps=2, stages=own), scene))
+
+
+def test_a_time_limit_leaves_most_for_the_stages(scene: Scene, monkeypatch: pytest.MonkeyPatch):
+    """With steps that do not end of themselves."""
+    monkeypatch.setattr(silhouettes_first, "_STEPS", 1_000_000)
+    monkeypatch.setattr(silhouettes_first, "_GAIN", -1e9)
+    config = small_config(initializer=SphereConfig(), stages=TWO_STAGES, max_time=12.0)
+    events: list[Event] = []
+    Pipeline(config, scene=scene, emit=events.append, started=time.monotonic()).train()
+    shaped = next(event.t_wall for event in events if event.data.get("item") == "silhouettes first")
+    assert 1.5 < shaped < 6.0
+    assert any(event.event == "outer_step" for event in events)
 
 
 def test_a_surface_that_is_lost_is_one_message(scene: Scene, monkeypatch: pytest.MonkeyPatch):

@@ -36,8 +36,6 @@ from sculpt_framework.types import Scene, Surface
 _RECOVERIES_AT_MOST = 3
 _UNSTABLE = (FloatingPointError, EmptySurfaceError)
 """What a step or a measurement raises when the optimisation has gone wrong."""
-_AFTER_SILHOUETTES = 0.6
-"""Of a time limit, what is left for the stages where a start has to be shaped by silhouettes first."""
 _MARGIN_DB = 0.3
 """By which an earlier state's held-out views must be better: less is chance, and rates were higher then."""
 
@@ -89,8 +87,7 @@ class Pipeline:
         """The surface training ended with, in the object frame; the Gaussians' rows are on it."""
         self._best: tuple[float, dict[str, Tensor]] | None = None
         self._last_good: dict[str, Tensor] | None = None
-        self._rate_scale, self._recoveries = 1.0, 0
-        self._pace = Pace()
+        self._rate_scale, self._recoveries, self._pace = 1.0, 0, Pace()
         self._last_checkpoint = time.monotonic()
 
     # -- the run -------------------------------------------------------------------------------------------------
@@ -138,13 +135,12 @@ class Pipeline:
     def _start(self) -> None:
         """Fit the field to the initial surface and find the cells it passes through."""
         box, device, detail = self.scene.box, self._parts.device, self._parts.detail
-        field, random, seen = self._trainer.field, self._generator, self._measure_start
-        error = fit_to_views(field, self.config, self._views, box, detail, random, device, seen)
+        random, seen = self._generator, self._measure_start
+        error = fit_to_views(self._trainer.field, self.config, self._views, box, detail, random, device, seen)
         self._trainer.equalize()
         self._emit("decision", announcements.initial_surface(self.config, error))
-        end = self.clock.deadline(self.config.max_time, share_left=_AFTER_SILHOUETTES, seconds_left=3.0)
-        if (shaped := shape_by_silhouettes(self._parts, self.config, self._views, box, end)) is not None:
-            self._emit("decision", shaped)
+        for told in shape_by_silhouettes(self._parts, self.config, self._views, box, self.clock):
+            self._emit("decision", told)
 
     def _advance(self, progress: float) -> None:
         """One outer step, with what comes before and after it."""
@@ -171,8 +167,8 @@ class Pipeline:
         return stage
 
     def _announce_stage(self) -> None:
-        grid = self._trainer.extractor.grid
-        self._emit("stage", announcements.stage_entered(self._stage_index, self.config.trainer, grid))
+        told = announcements.stage_entered(self._stage_index, self.config.trainer, self._trainer.extractor.grid)
+        self._emit("stage", told)
 
     def _load_images(self, stage: StageConfig) -> None:
         box, device, number = self.scene.box, self._parts.device, self.config.trainer.stages.index(stage)
@@ -182,7 +178,7 @@ class Pipeline:
         self._trainer.scene.blur = math.sqrt(self.config.trainer.low_pass_px2) * pixel_footprint(self._images)
 
     def _step(self, stage: StageConfig, progress: float) -> None:
-        rate = self._rate(progress)
+        rate = self._schedule.rate_factor(progress) * self._rate_scale
         settled = self._trainer.settle(self._images, stage, rate, self._schedule.warm)
         # Here a surface has colours of its own, measuring it costs no extraction, and the clock has gone on.
         progress = self._trainer.processes.first(lambda: self._schedule.progress(self.outer))
@@ -196,9 +192,6 @@ class Pipeline:
         bands = spare_bands(self._trainer, settled.binding, self._yardstick, self.config.trainer, self.outer)
         for told in (*self._trainer.resting.news(), *bands):
             self._emit("decision", told)
-
-    def _rate(self, progress: float) -> float:
-        return self._schedule.rate_factor(progress) * self._rate_scale
 
     def _recover(self, error: Exception) -> None:
         """Back to the last good state at half the learning rates; give up after repeated failure."""
@@ -245,8 +238,9 @@ class Pipeline:
 
     def _keep_better(self, progress: float, *, trainable: bool = True) -> float | None:
         """Go back to the best state if the last, settled if it can be, is worse. Returns the psnr of the one kept."""
-        surface, stage, rate = None, self.config.trainer.stages[self._stage_index], self._rate(progress)
+        surface, stage = None, self.config.trainer.stages[self._stage_index]
         if trainable:
+            rate = self._schedule.rate_factor(progress) * self._rate_scale
             surface = self._trainer.settle(self._images, stage, rate, self._schedule.warm).surface.detach()
         self._evaluate("end of optimisation", progress, surface or self._follow_surface())
         latest = self._milestones.latest("psnr")

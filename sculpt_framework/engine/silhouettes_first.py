@@ -7,6 +7,7 @@ from typing import Any
 
 from sculpt_framework.config import MethodConfig, StageConfig
 from sculpt_framework.engine.assembly import SILHOUETTE, Parts, find_seeds, set_level
+from sculpt_framework.engine.clock import TrainingClock
 from sculpt_framework.engine.images import TrainingImage, pixel_footprint, prepare_images
 from sculpt_framework.engine.trainer import BiLevelTrainer
 from sculpt_framework.errors import TrainingFailed
@@ -20,23 +21,25 @@ _LAST_RATE = 0.1
 """Of the surface's rate that a level begins with."""
 _WINDOW, _GAIN = 20, 0.02
 """A level ends once the loss of so many steps is not this share better than that of as many before."""
+_TIME_LEFT = 0.6
+"""Of a time limit, for all that comes after."""
 
 
 def shape_by_silhouettes(
-    parts: Parts, config: MethodConfig, views: Sequence[View], box: Box, end: float | None
-) -> dict[str, Any] | None:
+    parts: Parts, config: MethodConfig, views: Sequence[View], box: Box, clock: TrainingClock
+) -> list[dict[str, Any]]:
     """Fit the field's surface to the masks, on all levels coarser than the first stage's; views in world frame.
 
-    ``end`` is a ``time.monotonic()`` instant at which it has to be done, if there is one.
     Only where the initializer asks for it, there are masks and a term that looks at them, and the method does not begin
-    with such a stage itself. Returns the data of the decision if it was done. Optimisers begin anew after it. Raises
+    with such a stage itself. Returns the data of the decision, if it was done. Optimisers begin anew after it. Raises
     TrainingFailed if the surface is lost on the way.
     """
     trainer, first = parts.trainer, config.trainer.stages[0]
     if not config.initializer.build().silhouette_first or first.silhouette_only:
-        return None
+        return []
     if not trainer.objectives.silhouettes or all(view.alpha is None for view in views):
-        return None
+        return []
+    end = clock.deadline(config.max_time, share_left=_TIME_LEFT, seconds_left=3.0)
     taken, loss = 0, math.nan
     try:
         for level in range(max(1, first.level)):
@@ -56,7 +59,7 @@ def shape_by_silhouettes(
     trainer.seeds, trainer.extraction, trainer.view_order = None, None, []
     trainer.optimizer.load_state({})
     trainer.scene.forget()
-    return {"item": "silhouettes first", "value": f"{taken} steps", "loss": loss}
+    return [{"item": "silhouettes first", "value": f"{taken} steps", "loss": loss}]
 
 
 def _fit(

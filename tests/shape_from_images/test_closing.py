@@ -76,6 +76,11 @@ def test_without_cameras_nothing_holds_a_patch():
     assert close_unseen(shape, np.zeros((0, 3), np.float32)) is shape
 
 
+def test_one_view_says_too_little_about_the_far_side():
+    shape = volume(ball(centers()).reshape(CELLS, CELLS, CELLS))
+    assert close_unseen(shape, cameras()[:1]) is shape
+
+
 def test_three_views_say_too_little_about_the_far_side():
     shape = volume(hull(centers()).reshape(CELLS, CELLS, CELLS))
     assert close_unseen(shape, cameras()[[0, 8, 16]]) is shape

@@ -34,7 +34,7 @@ def capture(trainer: BiLevelTrainer, stage: int, generator: torch.Generator) -> 
         "stage": torch.tensor(stage),
         "seeds": trainer.seeds,
         "random": generator.get_state(),
-        "view_order": torch.tensor(trainer.view_order, dtype=torch.int64),
+        "view_order": torch.tensor(trainer.views.order, dtype=torch.int64),
         "inner_total": torch.tensor(trainer.inner_total),
     }
     _put(state, "field", trainer.field.state_dict())
@@ -46,6 +46,7 @@ def capture(trainer: BiLevelTrainer, stage: int, generator: torch.Generator) -> 
         _put(state, f"extractor.{name}", table.state())
     _put(state, "scene", trainer.scene.state())
     _put(state, "resting", trainer.resting.state())
+    _put(state, "still_faces", trainer.still_faces.state())
     return {name: tensor.detach().clone().contiguous() for name, tensor in state.items()}
 
 
@@ -57,7 +58,7 @@ def restore(trainer: BiLevelTrainer, generator: torch.Generator, state: Mapping[
     # The surface of another state: what follows must extract its own.
     trainer.extraction = None
     trainer.seeds = state["seeds"].clone()
-    trainer.view_order = state["view_order"].tolist()
+    trainer.views.order = state["view_order"].tolist()
     trainer.inner_total = int(state["inner_total"])
     generator.set_state(state["random"].clone())
     _load_module(trainer.field, _get(state, "field"))
@@ -69,6 +70,7 @@ def restore(trainer: BiLevelTrainer, generator: torch.Generator, state: Mapping[
         table.load_state(_get(state, f"extractor.{name}"))
     trainer.scene.load_state(_get(state, "scene"))
     trainer.resting.load_state(_get(state, "resting"))
+    trainer.still_faces.load_state(_get(state, "still_faces"))
 
 
 def _load_module(module: nn.Module, state: Mapping[str, Tensor]) -> None:

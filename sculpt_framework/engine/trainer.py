@@ -10,7 +10,6 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Generic, TypeVar
 
 import torch
 from jaxtyping import Float, Int64
@@ -20,34 +19,27 @@ from sculpt_framework.adam import Adam
 from sculpt_framework.binders import Binding
 from sculpt_framework.config import StageConfig, TrainerConfig
 from sculpt_framework.constraints import Constraint
-from sculpt_framework.engine.gaussian_scene import GaussianScene, as_leaves, assemble, tensor_pairs
+from sculpt_framework.engine.falling import Falling
+from sculpt_framework.engine.gaussian_scene import GaussianScene, assemble
 from sculpt_framework.engine.images import TrainingImage
 from sculpt_framework.engine.parallel import Alone, Processes
 from sculpt_framework.engine.regions import Frozen, Region, frozen_rows, signed_distance, untaught
 from sculpt_framework.engine.resting import Resting
+from sculpt_framework.engine.still_faces import StillFaces, all_but
 from sculpt_framework.engine.trust_region import TrustRegion
+from sculpt_framework.engine.view_gradients import ViewGradients, Weighted
 from sculpt_framework.extractors import Extraction, Extractor
 from sculpt_framework.fields import Field
 from sculpt_framework.losses import GeometryLoss, ImageLoss
 from sculpt_framework.rasterizers import Rasterizer
-from sculpt_framework.types import Gaussians, Rendering, Surface
+from sculpt_framework.types import Surface
 
-Term = TypeVar("Term")
-Drawn = tuple[TrainingImage, Float[Tensor, " 3"]]
-"""A view, and what is behind it."""
 _COLORS = "photometric"
 """The inner loop's image term, in what it tells."""
 _CHUNK, _LEAST_WARM_UP = 10, 30
 """Colour steps between two looks at the clock while colours are warmed up, and those that there are in any case."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Weighted(Generic[Term]):
-    """A term of an objective under the name and with the weight of its config."""
-
-    name: str
-    weight: float
-    term: Term
+_SHORTEST_PASS = 50
+"""Inner steps whose mean loss can be compared with that of as many others, however few views there are."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -121,14 +113,12 @@ class BiLevelTrainer:
         self.gaussian_rate = 1.0
         """Factors on the learning rates of the schedule."""
         self.trust = TrustRegion(config.trust_cells, [p for group in groups for p in group.parameters])
-        self._rasterizer = rasterizer
         self.objectives = objectives
         self.resting = Resting(config.rest_after)
+        self.still_faces = StillFaces(config.still_cells)
         self._config = config
-        self._generator = generator
         self.processes = processes or Alone()
-        self.view_order: list[int] = []
-        """Views still to come before the next shuffle."""
+        self.views = ViewGradients(rasterizer, config, generator, self.processes)
 
     def equalize(self) -> None:
         """Have all processes start from the first one's field and colours: fitting rounds as the machine likes."""
@@ -153,13 +143,15 @@ class BiLevelTrainer:
         surface = untaught(self.ignored, extraction.surface)
         if not self._config.warm_start:
             self.scene.forget()
+            self.still_faces.forget()
         self.scene.follow(surface)
         self.processes.require_same(surface.face_keys)
         inner_loss, binding, inner_began = None, None, time.perf_counter()
         if self._config.gradient_isolation and not stage.silhouette_only:
             if self.inner_total == 0:
                 binding = self._warm_up(surface, images, warm)
-            inner_loss, binding = self.inner_loop(surface, images, stage.inner_steps, rate_factor, binding)
+            moving = self.still_faces.moving(surface, self.extractor.grid.cell)
+            inner_loss, binding = self.inner_loop(surface, images, stage.inner_steps, rate_factor, binding, moving)
         if binding is None:
             binding = self.scene.bind(surface, learn=not self._config.gradient_isolation)
         seconds = time.perf_counter() - inner_began
@@ -181,7 +173,7 @@ class BiLevelTrainer:
         joint = not self._config.gradient_isolation
         gaussians = assemble(binding, self.scene.harmonics(binding.means, degree=self._degree(0), learn=joint))
         seeing = self.objectives.silhouettes if stage.silhouette_only else self._awake()
-        walk, terms = self._see(gaussians, [self._draw(images) for _ in range(views)], seeing)
+        walk, terms = self.views.see(gaussians, images, views, seeing)
         seen = tuple(terms)
         for objective in self.objectives.geometry:
             terms[objective.name] = walk.add(objective.weight * objective.term(extraction))
@@ -223,13 +215,22 @@ class BiLevelTrainer:
         steps: int,
         rate_factor: float,
         binding: Binding | None = None,
+        moving: Int64[Tensor, " m"] | None = None,
     ) -> tuple[float | None, Binding | None]:
         """Colours, and now and then scales and places, of the Gaussians on a detached copy of the surface.
 
+        ``moving`` are the faces whose Gaussians learn, if not all do; where none does, nor is there a step.
+
         ``binding`` is what ``scene.bind`` makes of the surface, connected to it, if that is known. Returns the mean
         loss, None without steps, and that binding as it is then, None where places have been taught since.
+
+        With ``inner_gain`` the loop ends once a pass over the views has lowered the loss by less than that share.
         """
-        total = 0.0
+        if moving is not None and len(moving) == 0:
+            return None, binding
+        total, taken, resting = 0.0, 0, None
+        still = None if moving is None else all_but(moving, len(surface.faces))
+        falling = Falling(max(len(images), _SHORTEST_PASS), self._config.inner_gain)
         batch = self._config.inner_batch or self.processes.count
         colors = [Weighted(name=_COLORS, weight=1.0, term=self.objectives.photometric)]
         for step in range(0, steps, batch):
@@ -244,8 +245,14 @@ class BiLevelTrainer:
                 binding = self.scene.bind(surface, learn=False) if binding is None else binding
                 bound = binding.detach()
             self.scene.zero_grad()
-            gaussians = assemble(bound, self.scene.harmonics(bound.means, degree=self._degree(step), learn=True))
-            walk, terms = self._see(gaussians, [self._draw(images) for _ in range(count)], colors)
+            degree = self._degree(step)
+            sh = self.scene.harmonics(bound.means, degree=degree, learn=True, faces=moving)
+            if moving is not None:
+                if resting is None or resting.shape[2] != sh.shape[2]:
+                    # A copy: what gradients are to pass may not be made of a view without any.
+                    resting = self.scene.harmonics(bound.means, degree=degree, learn=False).clone()
+                sh = resting.index_copy(0, moving, sh)
+            walk, terms = self.views.see(assemble(bound, sh), images, count, colors)
             awake = [each for each in self.objectives.constraints if learn_places and self.resting.due(each.name)]
             for constraint in awake:
                 terms[constraint.name] = walk.add(constraint.weight * constraint.term(bound))
@@ -253,10 +260,12 @@ class BiLevelTrainer:
             self._check_terms(terms)
             for constraint in awake:
                 self.resting.saw(constraint.name, terms[constraint.name], terms[_COLORS])
-            total += terms[_COLORS] * count
-            self.scene.step(self.gaussian_rate * (1.0 if not self._config.warm_start else rate_factor))
+            total, taken = total + terms[_COLORS] * count, taken + count
+            self.scene.step(self.gaussian_rate * (1.0 if not self._config.warm_start else rate_factor), still)
             self.inner_total = after
-        return (total / steps if steps else None), binding
+            if not falling.after(terms[_COLORS], count):
+                break
+        return (total / taken if taken else None), binding
 
     def _warm_up(self, surface: Surface, images: Sequence[TrainingImage], warm: Callable[[], bool]) -> Binding | None:
         """Inner steps before the surface first moves. Returns a binding as ``inner_loop`` does."""
@@ -280,35 +289,6 @@ class BiLevelTrainer:
         self.seeds = self.extraction.cells
         return self.extraction
 
-    def _see(
-        self, gaussians: Gaussians, drawn: Sequence[Drawn], objectives: Sequence[Weighted[ImageLoss]]
-    ) -> tuple["_Walk", dict[str, float]]:
-        """The mean gradient of the views' image terms by the Gaussians, from where it goes on, and the terms.
-
-        Each view's graph ends at the Gaussians and is freed before the next view is rendered. That is where processes
-        add up: Gaussians have far fewer numbers than what they are made of, and from here all go on alike.
-        """
-        leaves = as_leaves(gaussians)
-        terms = {objective.name: 0.0 for objective in objectives}
-        for number in self.processes.share(len(drawn)):
-            image, background = drawn[number]
-            rendering, target = self._render(leaves, image, background), image.over(background)
-            loss = rendering.alpha.new_zeros(())
-            for objective in objectives:
-                term = objective.weight * objective.term(rendering, target)
-                terms[objective.name] += float(term.detach()) / len(drawn)
-                loss = loss + term
-            if loss.requires_grad:
-                (loss / len(drawn)).backward()
-        pairs = [(value, leaf) for value, leaf in tensor_pairs(gaussians, leaves) if leaf.requires_grad]
-        terms = self.processes.reduce([leaf for _, leaf in pairs], terms)
-        walk = _Walk()
-        for value, leaf in pairs:
-            if leaf.grad is not None:
-                walk.roots.append(value)
-                walk.gradients.append(leaf.grad)
-        return walk, terms
-
     def _note_rest(self, terms: Mapping[str, float]) -> None:
         """Of image terms, what they came to."""
         for objective in self.objectives.images:
@@ -319,11 +299,6 @@ class BiLevelTrainer:
         """The image terms that are evaluated in this step: what compares colours always is."""
         always = self.objectives.photometric
         return [each for each in self.objectives.images if each.term is always or self.resting.due(each.name)]
-
-    def _render(self, gaussians: Gaussians, image: TrainingImage, background: Float[Tensor, " 3"]) -> Rendering:
-        return self._rasterizer.render(
-            gaussians, image.camera, background, low_pass_px2=self._config.low_pass_px2, normals=False
-        )
 
     def _zero_grad(self) -> None:
         self.optimizer.zero_grad()
@@ -367,41 +342,6 @@ class BiLevelTrainer:
         """Active spherical-harmonics degree: one more every so many inner steps (3DGS), from the Gaussians' start."""
         steps = self.inner_total if self._config.warm_start else step
         return steps // self._config.sh_degree_every
-
-    def _next_view(self, count: int) -> int:
-        """Every view once, in random order, before any comes again."""
-        if not self.view_order:
-            self.view_order = torch.randperm(count, generator=self._generator).tolist()
-        return self.view_order.pop()
-
-    def _draw(self, images: Sequence[TrainingImage]) -> Drawn:
-        """The next view. Every process draws for all, so that all draw the same."""
-        image = images[self._next_view(len(images))]
-        return image, self._background(image)
-
-    def _background(self, image: TrainingImage) -> Float[Tensor, " 3"]:
-        if self._config.random_background and image.alpha is not None:
-            return torch.rand(3, generator=self._generator).to(image.premultiplied)
-        return torch.ones(3).to(image.premultiplied)
-
-
-class _Walk:
-    """Tensors that a walk back through a graph starts from, each with its gradient."""
-
-    def __init__(self) -> None:
-        self.roots: list[Tensor] = []
-        self.gradients: list[Tensor] = []
-
-    def add(self, term: Float[Tensor, ""]) -> float:
-        """Start from this term, too, if anything can learn from it. Returns its value."""
-        if term.requires_grad:
-            self.roots.append(term)
-            self.gradients.append(torch.ones_like(term))
-        return float(term.detach())
-
-    def back(self) -> None:
-        if self.roots:
-            torch.autograd.backward(self.roots, self.gradients)
 
 
 def _require_finite(tensor: Tensor, what: str) -> None:

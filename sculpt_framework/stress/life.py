@@ -49,7 +49,7 @@ def _gradient_nan(pipeline: Pipeline) -> None:
 def _image_nan(pipeline: Pipeline) -> None:
     """In the view that the next step looks at first, until the view order is drawn anew."""
     images = pipeline._images
-    index = trainer_of(pipeline).view_order[-1] if trainer_of(pipeline).view_order else 0
+    index = trainer_of(pipeline).views.order[-1] if trainer_of(pipeline).views.order else 0
     spoilt = images[index].premultiplied.clone()
     spoilt[0, 0, 0] = torch.nan
     images[index] = replace(images[index], premultiplied=spoilt)

@@ -1,0 +1,114 @@
+"""Views in random order, and what they say of the Gaussians: the part of a step that rendering is."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from sculpt_framework.config import TrainerConfig
+from sculpt_framework.engine.gaussian_scene import as_leaves, tensor_pairs
+from sculpt_framework.engine.images import TrainingImage
+from sculpt_framework.engine.parallel import Processes
+from sculpt_framework.losses import ImageLoss
+from sculpt_framework.rasterizers import Rasterizer
+from sculpt_framework.types import Gaussians
+
+Term = TypeVar("Term")
+Drawn = tuple[TrainingImage, Float[Tensor, " 3"]]
+"""A view, and what is behind it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Weighted(Generic[Term]):
+    """A term of an objective under the name and with the weight of its config."""
+
+    name: str
+    weight: float
+    term: Term
+
+
+class ViewGradients:
+    """Draws views, renders Gaussians into them and gathers the gradient of image terms at the Gaussians."""
+
+    def __init__(self, rasterizer: Rasterizer, config: TrainerConfig, generator: torch.Generator, processes: Processes):
+        self.order: list[int] = []
+        """Views still to come before the next shuffle."""
+        self._rasterizer = rasterizer
+        self._config = config
+        self._generator = generator
+        self._processes = processes
+
+    def see(
+        self,
+        gaussians: Gaussians,
+        images: Sequence[TrainingImage],
+        count: int,
+        objectives: Sequence[Weighted[ImageLoss]],
+    ) -> tuple["Walk", dict[str, float]]:
+        """The mean gradient of the next views' image terms by the Gaussians, from where it goes on, and the terms.
+
+        Each view's graph ends at the Gaussians and is freed before the next view is rendered. That is where processes
+        add up: Gaussians have far fewer numbers than what they are made of, and from here all go on alike.
+        """
+        drawn = [self._draw(images) for _ in range(count)]
+        leaves = as_leaves(gaussians)
+        terms = {objective.name: 0.0 for objective in objectives}
+        for number in self._processes.share(len(drawn)):
+            image, background = drawn[number]
+            rendering = self._rasterizer.render(
+                leaves, image.camera, background, low_pass_px2=self._config.low_pass_px2, normals=False
+            )
+            target = image.over(background)
+            loss = rendering.alpha.new_zeros(())
+            for objective in objectives:
+                term = objective.weight * objective.term(rendering, target)
+                terms[objective.name] += float(term.detach()) / len(drawn)
+                loss = loss + term
+            if loss.requires_grad:
+                (loss / len(drawn)).backward()
+        pairs = [(value, leaf) for value, leaf in tensor_pairs(gaussians, leaves) if leaf.requires_grad]
+        terms = self._processes.reduce([leaf for _, leaf in pairs], terms)
+        walk = Walk()
+        for value, leaf in pairs:
+            if leaf.grad is not None:
+                walk.roots.append(value)
+                walk.gradients.append(leaf.grad)
+        return walk, terms
+
+    def _next_view(self, count: int) -> int:
+        """Every view once, in random order, before any comes again."""
+        if not self.order:
+            self.order = torch.randperm(count, generator=self._generator).tolist()
+        return self.order.pop()
+
+    def _draw(self, images: Sequence[TrainingImage]) -> Drawn:
+        """The next view. Every process draws for all, so that all draw the same."""
+        image = images[self._next_view(len(images))]
+        return image, self._background(image)
+
+    def _background(self, image: TrainingImage) -> Float[Tensor, " 3"]:
+        if self._config.random_background and image.alpha is not None:
+            return torch.rand(3, generator=self._generator).to(image.premultiplied)
+        return torch.ones(3).to(image.premultiplied)
+
+
+class Walk:
+    """Tensors that a walk back through a graph starts from, each with its gradient."""
+
+    def __init__(self) -> None:
+        self.roots: list[Tensor] = []
+        self.gradients: list[Tensor] = []
+
+    def add(self, term: Float[Tensor, ""]) -> float:
+        """Start from this term, too, if anything can learn from it. Returns its value."""
+        if term.requires_grad:
+            self.roots.append(term)
+            self.gradients.append(torch.ones_like(term))
+        return float(term.detach())
+
+    def back(self) -> None:
+        if self.roots:
+            torch.autograd.backward(self.roots, self.gradients)

@@ -16,6 +16,9 @@ from sculpt_framework.shape_from_images.volume import Volume
 with kernel_cache("sweep", Path(__file__).with_name("sweep_kernels.py")):
     from sculpt_framework.shape_from_images.sweep_kernels import fuse, relax
 
+_GRAIN = 128
+"""Cells along the longest side of the box for which the numbers of cells below are meant. In finer volumes they are as
+many more: what depths err by, and how narrow the openings into a false hollow are, does not shrink with the cells."""
 _TRUNCATION = 3.0
 """Cells within which a depth speaks of a surface."""
 _SURE = 8.0
@@ -52,7 +55,8 @@ def carve(solid: Volume, views: PackedViews, maps: DepthMaps, margin: float) -> 
     left = np.asarray(ndimage.binary_erosion(carved < 0), dtype=bool)
     _add_up(solid, sums.seen_through.copy(), left, views, maps, telling, sums)
     carved = _without_pits(solid, hull, sums, margin)
-    return solid.holding(signed_distance(_one_piece(carved < 0, hull), carved, solid.cell))
+    inside = _one_piece(carved < 0, hull, narrow=round(_grains(solid)))
+    return solid.holding(signed_distance(inside, carved, solid.cell))
 
 
 class _Sums(NamedTuple):
@@ -121,8 +125,13 @@ def _sureness(views: Float32[np.ndarray, "x y z"]) -> Float32[np.ndarray, "x y z
     return np.minimum(views, np.float32(_SURE)) / np.float32(_SURE)
 
 
+def _grains(solid: Volume) -> float:
+    """Cells along one cell of ``_GRAIN``, at least 1."""
+    return max(1.0, (max(solid.shape) - 2) / _GRAIN)
+
+
 def _truncation(solid: Volume) -> np.float32:
-    return np.float32(_TRUNCATION * solid.cell)
+    return np.float32(_TRUNCATION * _grains(solid) * solid.cell)
 
 
 def _carved(
@@ -150,9 +159,10 @@ def _without_pits(
     piece = _pieces(hollows)
     sizes = np.bincount(piece.reshape(-1))
     deep = np.bincount(piece[hollows & (cautious >= 0)], minlength=len(sizes)) > 0
-    pits = hollows & ~(deep | (sizes >= _WIDE))[piece]
+    pits = hollows & ~(deep | (sizes >= _WIDE * _grains(solid) ** 3))[piece]
     # The distance is bent towards a pit in the cells round it as well.
-    around = np.asarray(ndimage.binary_dilation(pits, iterations=2), dtype=bool) & (pits | ~hollows)
+    bent = np.asarray(ndimage.binary_dilation(pits, iterations=round(2 * _grains(solid))), dtype=bool)
+    around = bent & (pits | ~hollows)
     return np.where(around, cautious, carved)
 
 
@@ -178,15 +188,17 @@ def _fill(
     return phi
 
 
-def _one_piece(inside: Bool[np.ndarray, "x y z"], hull: Bool[np.ndarray, "x y z"]) -> Bool[np.ndarray, "x y z"]:
+def _one_piece(
+    inside: Bool[np.ndarray, "x y z"], hull: Bool[np.ndarray, "x y z"], narrow: int
+) -> Bool[np.ndarray, "x y z"]:
     """Without bubbles and without crumbs. A bubble is what hangs together with the outside of the ``hull``, if at all,
-    only through openings less than three cells wide: hollows of this kind come from highlights, whose depths lie
-    inside."""
+    only through openings less than 2 ``narrow`` + 1 cells wide: hollows of this kind come from highlights, whose depths
+    lie inside."""
     hull = np.asarray(ndimage.binary_fill_holes(hull), dtype=bool)
-    wide = np.asarray(ndimage.binary_erosion(~inside, border_value=1), dtype=bool)
+    wide = np.asarray(ndimage.binary_erosion(~inside, border_value=1, iterations=narrow), dtype=bool)
     piece = _pieces(wide)
     outside = np.bincount(piece[wide & ~hull], minlength=int(piece.max()) + 1) > 0
-    open_space = np.asarray(ndimage.binary_dilation(outside[piece], mask=~inside), dtype=bool)
+    open_space = np.asarray(ndimage.binary_dilation(outside[piece], mask=~inside, iterations=narrow), dtype=bool)
     solid = hull & ~open_space
     piece = _pieces(solid)
     sizes = np.bincount(piece.reshape(-1))

@@ -160,7 +160,7 @@ class Pipeline:
         if self._trainer.seeds is None:
             assembly.find_seeds(self._parts)
         self._load_images(stage)
-        self._trainer.views.order = []
+        self._trainer.begin_stage()
         self._stage_index = index
         self._announce_stage()
         self._milestones.enter_stage()

@@ -56,7 +56,8 @@ def shape_by_silhouettes(
     except (EmptySurfaceError, FloatingPointError) as error:
         hint = "start with --initializer visual-hull"
         raise TrainingFailed(f"silhouettes cannot shape the start ({error}); {hint}") from error
-    trainer.seeds, trainer.extraction, trainer.views.order = None, None, []
+    trainer.seeds, trainer.extraction = None, None
+    trainer.begin_stage()
     trainer.optimizer.load_state({})
     trainer.scene.forget()
     return [{"item": "silhouettes first", "value": f"{taken} steps", "loss": loss}]

@@ -118,11 +118,16 @@ class BiLevelTrainer:
         self.still_faces = StillFaces(config.still_cells)
         self._config = config
         self.processes = processes or Alone()
-        self.views = ViewGradients(rasterizer, config, generator, self.processes)
+        self.views = ViewGradients(rasterizer, config, generator)
 
     def equalize(self) -> None:
         """Have all processes start from the first one's field and colours: fitting rounds as the machine likes."""
         self.processes.equalize([*self.field.parameters(), *self.scene.appearance.parameters()])
+
+    def begin_stage(self) -> None:
+        """Images are others from here on: views come in a new order, and Gaussians of all faces learn from them."""
+        self.views.order = []
+        self.still_faces.forget()
 
     # -- the two levels: an outer step is settle, then update --------------------------------------------------
 
@@ -150,7 +155,7 @@ class BiLevelTrainer:
         if self._config.gradient_isolation and not stage.silhouette_only:
             if self.inner_total == 0:
                 binding = self._warm_up(surface, images, warm)
-            moving = self.still_faces.moving(surface, self.extractor.grid.cell)
+            moving = self.still_faces.moving(surface, self.extractor.grid.cell) if stage.inner_steps > 0 else None
             inner_loss, binding = self.inner_loop(surface, images, stage.inner_steps, rate_factor, binding, moving)
         if binding is None:
             binding = self.scene.bind(surface, learn=not self._config.gradient_isolation)
@@ -173,7 +178,7 @@ class BiLevelTrainer:
         joint = not self._config.gradient_isolation
         gaussians = assemble(binding, self.scene.harmonics(binding.means, degree=self._degree(0), learn=joint))
         seeing = self.objectives.silhouettes if stage.silhouette_only else self._awake()
-        walk, terms = self.views.see(gaussians, images, views, seeing)
+        walk, terms = self.views.see(gaussians, images, views, seeing, self.processes)
         seen = tuple(terms)
         for objective in self.objectives.geometry:
             terms[objective.name] = walk.add(objective.weight * objective.term(extraction))
@@ -228,7 +233,7 @@ class BiLevelTrainer:
         """
         if moving is not None and len(moving) == 0:
             return None, binding
-        total, taken, resting = 0.0, 0, None
+        total, taken, colors_now = 0.0, 0, None
         still = None if moving is None else all_but(moving, len(surface.faces))
         falling = Falling(max(len(images), _SHORTEST_PASS), self._config.inner_gain)
         batch = self._config.inner_batch or self.processes.count
@@ -248,11 +253,11 @@ class BiLevelTrainer:
             degree = self._degree(step)
             sh = self.scene.harmonics(bound.means, degree=degree, learn=True, faces=moving)
             if moving is not None:
-                if resting is None or resting.shape[2] != sh.shape[2]:
+                if colors_now is None or colors_now.shape[2] != sh.shape[2]:
                     # A copy: what gradients are to pass may not be made of a view without any.
-                    resting = self.scene.harmonics(bound.means, degree=degree, learn=False).clone()
-                sh = resting.index_copy(0, moving, sh)
-            walk, terms = self.views.see(assemble(bound, sh), images, count, colors)
+                    colors_now = self.scene.harmonics(bound.means, degree=degree, learn=False).clone()
+                sh = colors_now.index_copy(0, moving, sh)
+            walk, terms = self.views.see(assemble(bound, sh), images, count, colors, self.processes)
             awake = [each for each in self.objectives.constraints if learn_places and self.resting.due(each.name)]
             for constraint in awake:
                 terms[constraint.name] = walk.add(constraint.weight * constraint.term(bound))

@@ -33,13 +33,12 @@ class Weighted(Generic[Term]):
 class ViewGradients:
     """Draws views, renders Gaussians into them and gathers the gradient of image terms at the Gaussians."""
 
-    def __init__(self, rasterizer: Rasterizer, config: TrainerConfig, generator: torch.Generator, processes: Processes):
+    def __init__(self, rasterizer: Rasterizer, config: TrainerConfig, generator: torch.Generator):
         self.order: list[int] = []
         """Views still to come before the next shuffle."""
         self._rasterizer = rasterizer
         self._config = config
         self._generator = generator
-        self._processes = processes
 
     def see(
         self,
@@ -47,6 +46,7 @@ class ViewGradients:
         images: Sequence[TrainingImage],
         count: int,
         objectives: Sequence[Weighted[ImageLoss]],
+        processes: Processes,
     ) -> tuple["Walk", dict[str, float]]:
         """The mean gradient of the next views' image terms by the Gaussians, from where it goes on, and the terms.
 
@@ -56,7 +56,7 @@ class ViewGradients:
         drawn = [self._draw(images) for _ in range(count)]
         leaves = as_leaves(gaussians)
         terms = {objective.name: 0.0 for objective in objectives}
-        for number in self._processes.share(len(drawn)):
+        for number in processes.share(len(drawn)):
             image, background = drawn[number]
             rendering = self._rasterizer.render(
                 leaves, image.camera, background, low_pass_px2=self._config.low_pass_px2, normals=False
@@ -70,7 +70,7 @@ class ViewGradients:
             if loss.requires_grad:
                 (loss / len(drawn)).backward()
         pairs = [(value, leaf) for value, leaf in tensor_pairs(gaussians, leaves) if leaf.requires_grad]
-        terms = self._processes.reduce([leaf for _, leaf in pairs], terms)
+        terms = processes.reduce([leaf for _, leaf in pairs], terms)
         walk = Walk()
         for value, leaf in pairs:
             if leaf.grad is not None:

@@ -196,6 +196,23 @@ def test_where_nothing_moves_there_is_no_inner_step(scene: Scene):
     assert trainer.inner_total == 2 * taken
 
 
+def test_gaussians_that_have_never_learned_are_not_left_out(scene: Scene):
+    parts, images, _ = start(scene, still_cells=0.02)
+    trainer = parts.trainer
+    for steps in (0, 2):
+        trainer.settle(images, replace(ONE_STAGE[0], inner_steps=steps), 1.0)
+        assert trainer.inner_total == steps
+
+
+def test_other_images_are_learned_from_whatever_has_moved(scene: Scene):
+    parts, images, _ = start(scene, still_cells=0.02)
+    trainer, stage = parts.trainer, ONE_STAGE[0]
+    for step in (1, 2):
+        trainer.begin_stage()
+        trainer.settle(images, stage, 1.0)
+        assert trainer.inner_total == step * stage.inner_steps
+
+
 def test_a_cold_start_learns_everything_anew(scene: Scene):
     parts, images, _ = start(scene, still_cells=0.02, warm_start=False)
     trainer, stage = parts.trainer, ONE_STAGE[0]

@@ -465,9 +465,9 @@ def test_a_start_that_takes_all_the_time_is_told_of(scene: Scene, monkeypatch: p
     """What is left is colours, for a few steps, which learn as they do at the beginning of a run."""
     inner_loop, rates = BiLevelTrainer.inner_loop, list[float]()
 
-    def watched(trainer: BiLevelTrainer, surface: Any, images: Any, steps: int, rate: float, binding: Any) -> Any:
+    def watched(trainer: BiLevelTrainer, surface: Any, images: Any, steps: int, rate: float, *more: Any) -> Any:
         rates.append(rate)
-        return inner_loop(trainer, surface, images, steps, rate, binding)
+        return inner_loop(trainer, surface, images, steps, rate, *more)
 
     monkeypatch.setattr(BiLevelTrainer, "inner_loop", watched)
     events: list[Event] = []

@@ -19,8 +19,8 @@ class StillFaces:
         self._keys: Int64[Tensor, " n"] = torch.empty(0, dtype=torch.int64)
         self._corners: Float[Tensor, "n 3 3"] = torch.empty(0, 3, 3)
 
-    def moving(self, surface: Surface, cell: float) -> Int64[Tensor, " m"] | None:
-        """The faces whose Gaussians learn now: new ones and those that are not still. None: all of them.
+    def moving(self, surface: Surface, cell: float) -> Bool[Tensor, " f"] | None:
+        """Whether a face's Gaussians learn now: those of new ones do and of those that are not still. None: all.
 
         ``cell`` is the width of a cell, in the surface's units.
         """
@@ -35,7 +35,7 @@ class StillFaces:
         # The other way round a NaN would count as still.
         still = known & ((corners - before).square().sum(dim=2).amax(dim=1) < (self._cells * cell) ** 2)
         self._keys, self._corners = surface.face_keys, torch.where(still[:, None, None], before, corners)
-        return (~still).nonzero()[:, 0]
+        return ~still
 
     def forget(self) -> None:
         """Have the Gaussians of all faces learn next."""
@@ -51,10 +51,3 @@ class StillFaces:
             self.forget()
             return
         self._keys, self._corners = state["keys"].clone(), state["corners"].clone()
-
-
-def all_but(faces: Int64[Tensor, " m"], count: int) -> Bool[Tensor, " f"]:
-    """Which of ``count`` faces are not among these."""
-    left = torch.ones(count, dtype=torch.bool, device=faces.device)
-    left[faces] = False
-    return left

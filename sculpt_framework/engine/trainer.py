@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float, Int64
+from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
 from sculpt_framework.adam import Adam
@@ -25,7 +25,7 @@ from sculpt_framework.engine.images import TrainingImage
 from sculpt_framework.engine.parallel import Alone, Processes
 from sculpt_framework.engine.regions import Frozen, Region, frozen_rows, signed_distance, untaught
 from sculpt_framework.engine.resting import Resting
-from sculpt_framework.engine.still_faces import StillFaces, all_but
+from sculpt_framework.engine.still_faces import StillFaces
 from sculpt_framework.engine.trust_region import TrustRegion
 from sculpt_framework.engine.view_gradients import ViewGradients, Weighted
 from sculpt_framework.extractors import Extraction, Extractor
@@ -220,21 +220,22 @@ class BiLevelTrainer:
         steps: int,
         rate_factor: float,
         binding: Binding | None = None,
-        moving: Int64[Tensor, " m"] | None = None,
+        moving: Bool[Tensor, " f"] | None = None,
     ) -> tuple[float | None, Binding | None]:
         """Colours, and now and then scales and places, of the Gaussians on a detached copy of the surface.
 
-        ``moving`` are the faces whose Gaussians learn, if not all do; where none does, nor is there a step.
+        ``moving`` says of which faces Gaussians learn, if not of all; where none does, nor is there a step.
 
         ``binding`` is what ``scene.bind`` makes of the surface, connected to it, if that is known. Returns the mean
         loss, None without steps, and that binding as it is then, None where places have been taught since.
 
         With ``inner_gain`` the loop ends once a pass over the views has lowered the loss by less than that share.
         """
-        if moving is not None and len(moving) == 0:
+        faces = None if moving is None else moving.nonzero()[:, 0]
+        if faces is not None and len(faces) == 0:
             return None, binding
         total, taken, colors_now = 0.0, 0, None
-        still = None if moving is None else all_but(moving, len(surface.faces))
+        still = None if moving is None else ~moving
         falling = Falling(max(len(images), _SHORTEST_PASS), self._config.inner_gain)
         batch = self._config.inner_batch or self.processes.count
         colors = [Weighted(name=_COLORS, weight=1.0, term=self.objectives.photometric)]
@@ -251,12 +252,12 @@ class BiLevelTrainer:
                 bound = binding.detach()
             self.scene.zero_grad()
             degree = self._degree(step)
-            sh = self.scene.harmonics(bound.means, degree=degree, learn=True, faces=moving)
-            if moving is not None:
+            sh = self.scene.harmonics(bound.means, degree=degree, learn=True, faces=faces)
+            if faces is not None:
                 if colors_now is None or colors_now.shape[2] != sh.shape[2]:
                     # A copy: what gradients are to pass may not be made of a view without any.
                     colors_now = self.scene.harmonics(bound.means, degree=degree, learn=False).clone()
-                sh = colors_now.index_copy(0, moving, sh)
+                sh = colors_now.index_copy(0, faces, sh)
             walk, terms = self.views.see(assemble(bound, sh), images, count, colors, self.processes)
             awake = [each for each in self.objectives.constraints if learn_places and self.resting.due(each.name)]
             for constraint in awake:

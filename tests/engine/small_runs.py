@@ -2,11 +2,16 @@
 
 from dataclasses import dataclass, replace
 
+import torch
+
 from sculpt_framework import registry
 from sculpt_framework.config import MethodConfig, StageConfig
+from sculpt_framework.engine.assembly import Parts, build_parts
 from sculpt_framework.engine.events import Event
+from sculpt_framework.engine.images import TrainingImage, prepare_image
 from sculpt_framework.engine.pipeline import Pipeline
 from sculpt_framework.engine.reconstruction import Reconstruction
+from sculpt_framework.geometry.band import discover
 from sculpt_framework.types import Scene
 from sculpt_plugins.appearances.color_field.config import ColorFieldConfig
 from sculpt_plugins.fields.dense_grid.config import DenseGridFieldConfig
@@ -42,6 +47,15 @@ def small_config(**changes: object) -> MethodConfig:
             **around,
         },
     )
+
+
+def on_a_sphere(config: MethodConfig, scene: Scene) -> tuple[Parts, list[TrainingImage]]:
+    """Components on a sphere, as the hash grid is built, with images to learn from."""
+    parts = build_parts(config, scene.box, torch.Generator().manual_seed(0))
+    trainer = parts.trainer
+    trainer.seeds = discover(lambda x: trainer.field(x).sdf, trainer.extractor.grid, 0)
+    trainer.scene.blur = 0.01
+    return parts, [prepare_image(view, scene.box, 0.5, parts.device) for view in scene.train]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,28 +5,17 @@ from dataclasses import replace
 
 import pytest
 import torch
-from small_runs import ONE_STAGE, small_config
+from small_runs import ONE_STAGE, on_a_sphere, small_config
 from torch import Tensor
 
-from sculpt_framework.config import MethodConfig
-from sculpt_framework.engine.assembly import Parts, build_parts
+from sculpt_framework.engine.assembly import Parts
 from sculpt_framework.engine.gaussian_scene import assemble
-from sculpt_framework.engine.images import TrainingImage, prepare_image
-from sculpt_framework.geometry.band import discover
+from sculpt_framework.engine.images import TrainingImage
 from sculpt_framework.types import Scene, Surface
 from sculpt_plugins.extractors.flexicubes.config import FlexiCubesConfig
 
 LEARNABLE = FlexiCubesConfig(split="center", learn_weights=True, learn_deformation=True)
 STAGE = ONE_STAGE[0]
-
-
-def start(config: MethodConfig, scene: Scene) -> tuple[Parts, list[TrainingImage]]:
-    """Components on a sphere, as the hash grid is built, with images to learn from."""
-    parts = build_parts(config, scene.box, torch.Generator().manual_seed(0))
-    trainer = parts.trainer
-    trainer.seeds = discover(lambda x: trainer.field(x).sdf, trainer.extractor.grid, 0)
-    trainer.scene.blur = 0.01
-    return parts, [prepare_image(view, scene.box, 0.5, parts.device) for view in scene.train]
 
 
 def shape_parameters(parts: Parts) -> dict[str, Tensor]:
@@ -46,7 +35,7 @@ def changed(before: Mapping[str, Tensor], after: Mapping[str, Tensor]) -> set[st
 
 
 def test_inner_steps_leave_the_shape_alone(scene: Scene):
-    parts, images = start(small_config(extractor=LEARNABLE), scene)
+    parts, images = on_a_sphere(small_config(extractor=LEARNABLE), scene)
     trainer = parts.trainer
     surface = trainer.extract().surface
     trainer.scene.follow(surface)
@@ -70,7 +59,7 @@ def image_gradients(parts: Parts, images: list[TrainingImage], surface: Surface)
 
 
 def test_images_reach_the_shape_through_vertices_only(scene: Scene):
-    parts, images = start(small_config(extractor=LEARNABLE), scene)
+    parts, images = on_a_sphere(small_config(extractor=LEARNABLE), scene)
     surface = parts.trainer.extract().surface
     parts.trainer.scene.follow(surface)
     assert image_gradients(parts, images, surface.detach()) == []
@@ -80,7 +69,7 @@ def test_images_reach_the_shape_through_vertices_only(scene: Scene):
 
 
 def test_colours_have_no_gradient_by_vertices(scene: Scene):
-    parts, _ = start(small_config(), scene)
+    parts, _ = on_a_sphere(small_config(), scene)
     surface = parts.trainer.extract().surface
     parts.trainer.scene.follow(surface)
     binding = parts.trainer.scene.bind(surface, learn=True)
@@ -92,7 +81,7 @@ def test_colours_have_no_gradient_by_vertices(scene: Scene):
 
 
 def test_the_outer_step_moves_the_shape_and_no_row(scene: Scene):
-    parts, images = start(small_config(extractor=LEARNABLE), scene)
+    parts, images = on_a_sphere(small_config(extractor=LEARNABLE), scene)
     trainer = parts.trainer
     trainer.scene.follow(trainer.extract().surface)
     rows = values({**trainer.scene.geometry_rows.leaves, **trainer.scene.appearance_rows.leaves})
@@ -107,7 +96,7 @@ def test_the_outer_step_moves_the_shape_and_no_row(scene: Scene):
 
 
 def test_without_isolation_everything_moves_at_once(scene: Scene):
-    parts, images = start(small_config(gradient_isolation=False), scene)
+    parts, images = on_a_sphere(small_config(gradient_isolation=False), scene)
     trainer = parts.trainer
     trainer.scene.follow(trainer.extract().surface)
     field = values(dict(trainer.field.named_parameters()))
@@ -120,7 +109,7 @@ def test_without_isolation_everything_moves_at_once(scene: Scene):
 
 
 def test_a_gradient_that_is_not_finite_updates_nothing(scene: Scene, monkeypatch: pytest.MonkeyPatch):
-    parts, images = start(small_config(), scene)
+    parts, images = on_a_sphere(small_config(), scene)
     trainer = parts.trainer
     before = values(dict(trainer.field.named_parameters()))
     first = next(trainer.field.parameters())

@@ -1,4 +1,4 @@
-"""A picture of a scene: where its cameras stand, the box, and its photographs with their masks."""
+"""A picture of a scene: where its cameras stand, the box, and its photographs with their masks and the box in them."""
 
 from collections.abc import Sequence
 
@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 from jaxtyping import Float64, UInt8
 
-from sculpt_framework.types import Scene, View
+from sculpt_framework.posed_images.projected_box import box_edges
+from sculpt_framework.types import Box, Scene, View
 
 Picture = UInt8[np.ndarray, "h w 3"]
 _THUMB = 150
@@ -14,6 +15,7 @@ _COLUMNS = 8
 _MOST = 40
 _MAP = 4 * _THUMB
 _INK, _BOX, _CAMERA, _TEST, _OUTLINE = (40, 44, 52), (46, 125, 50), (25, 90, 170), (200, 110, 20), (230, 30, 120)
+_EDGE, _EDGE_BELOW = (110, 235, 115), (20, 60, 25)
 """sRGB."""
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
@@ -21,10 +23,11 @@ _FONT = cv2.FONT_HERSHEY_SIMPLEX
 def contact_sheet(scene: Scene) -> Picture:
     """Two plans, from above (z up) and from the side, and up to 40 train views, spread evenly over all of them.
 
-    What is outside a mask is faded, the outline drawn; views without a mask are shown as they are.
+    What is outside a mask is faded, the outline drawn; views without a mask are shown as they are. The box's edges are
+    drawn into all of them.
     """
     chosen = np.unique(np.linspace(0, len(scene.train) - 1, min(_MOST, len(scene.train))).round().astype(int))
-    thumbs = [thumbnail(scene.train[index]) for index in chosen]
+    thumbs = [thumbnail(scene.train[index], scene.box) for index in chosen]
     plans = np.hstack([_plan(scene, (0, 1), "x to the right, y up"), _plan(scene, (0, 2), "x to the right, z up")])
     width = _COLUMNS * _THUMB
     rows = [plans]
@@ -34,8 +37,8 @@ def contact_sheet(scene: Scene) -> Picture:
     return np.ascontiguousarray(np.vstack(rows))
 
 
-def thumbnail(view: View) -> Picture:
-    """A view at the size of the sheet, named, with its mask."""
+def thumbnail(view: View, box: Box) -> Picture:
+    """A view at the size of the sheet, named, with its mask and the edges of the box."""
     factor = (_THUMB - 6) / max(view.camera.width, view.camera.height)
     size = max(1, round(view.camera.width * factor)), max(1, round(view.camera.height * factor))
     image = np.asarray(cv2.resize(view.rgb.numpy(), size, interpolation=cv2.INTER_AREA)).clip(0, 1)
@@ -45,12 +48,25 @@ def thumbnail(view: View) -> Picture:
         pixels = np.rint(pixels * alpha + (0.25 * pixels + 0.75 * 235) * (1 - alpha)).astype(np.uint8)
         outlines, _ = cv2.findContours((alpha[..., 0] > 0.5).astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
         cv2.drawContours(pixels, outlines, -1, _OUTLINE, 1)
+    _draw_edges(pixels, box_edges(view.camera.resized(*size), box))
     out = np.full((_THUMB, _THUMB, 3), 255, np.uint8)
     out[3 : 3 + size[1], 3 : 3 + size[0]] = pixels
     label = view.name[-20:]
     cv2.putText(out, label, (5, _THUMB - 6), _FONT, 0.35, (255, 255, 255), 3, cv2.LINE_AA)
     cv2.putText(out, label, (5, _THUMB - 6), _FONT, 0.35, _INK, 1, cv2.LINE_AA)
     return out
+
+
+def _draw_edges(pixels: Picture, edges: Float64[np.ndarray, "n 2 2"]) -> None:
+    """Dark below and bright on top, to be seen on any photograph."""
+    height, width = pixels.shape[:2]
+    # A pixel's centre is half a pixel from its corner, and at a whole number where lines are drawn.
+    ends = np.rint(edges - 0.5).astype(np.int64)
+    parts = [cv2.clipLine((-2, -2, width + 4, height + 4), start.tolist(), end.tolist()) for start, end in ends]
+    for color, wide in (_EDGE_BELOW, 3), (_EDGE, 1):
+        for meets, start, end in parts:
+            if meets:
+                cv2.line(pixels, start, end, color, wide, cv2.LINE_AA)
 
 
 def _plan(scene: Scene, axes: tuple[int, int], title: str) -> Picture:

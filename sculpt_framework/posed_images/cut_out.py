@@ -20,6 +20,7 @@ from jaxtyping import Bool, Float32, Float64, UInt8
 
 from sculpt_framework.errors import DataError
 from sculpt_framework.posed_images.box import fit_box
+from sculpt_framework.posed_images.projected_box import box_outline
 from sculpt_framework.threads import in_threads
 from sculpt_framework.types import Box, Camera, View
 
@@ -92,7 +93,7 @@ def cut_out(views: Sequence[View], test: Sequence[View], seed: Box) -> tuple[lis
 
 def _tightened(masked: Sequence[View], seed: Box) -> tuple[Box, str]:
     try:
-        box, _ = fit_box(masked)
+        box = fit_box(masked).box
     except DataError:
         return seed, ", though the first cuts contradict each other"
     return Box(minimum=torch.maximum(box.minimum, seed.minimum), maximum=torch.minimum(box.maximum, seed.maximum)), ""
@@ -146,24 +147,6 @@ def _fine(view: View, coarse: Mask, box: Box, colors: _Colors) -> Mask:
     trimap = np.where(outer, trimap, cv2.GC_BGD)
     trimap = np.where(inner & allowed, cv2.GC_FGD, trimap).astype(np.uint8)
     return _cut(small.image, trimap, colors)
-
-
-def box_outline(camera: Camera, box: Box, share: float = 1.0) -> Mask:
-    """Pixels inside the outline of a box of ``share`` of the size; all of them where it reaches behind the camera."""
-    middle, half = box.center.double().numpy(), 0.5 * (box.maximum - box.minimum).double().numpy()
-    low, high = middle - share * half, middle + share * half
-    corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
-    pose = camera.world_to_camera.double().numpy()
-    local = corners @ pose[:3, :3].T + pose[:3, 3]
-    if (local[:, 2] <= 1e-6 * np.abs(local).max()).any():
-        return np.ones((camera.height, camera.width), bool)
-    pixels = local[:, :2] / local[:, 2:] * (camera.fx, camera.fy) + (camera.cx, camera.cy)
-    inside = np.zeros((camera.height, camera.width), np.uint8)
-    # Far outside the image a polygon's corners may not fit the drawing's integers.
-    limit = 50 * max(camera.width, camera.height)
-    hull = cv2.convexHull(np.round(pixels.clip(-limit, limit)).astype(np.int32))
-    cv2.fillConvexPoly(inside, hull, (1,))
-    return inside.astype(bool)
 
 
 def _add_border(trimap: Trimap) -> None:

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float64
 
-from sculpt_framework.posed_images.cut_out import box_outline
+from sculpt_framework.posed_images.projected_box import box_outline
 from sculpt_framework.types import Box, Scene, View
 
 _CUT_OFF = 0.2

@@ -12,6 +12,8 @@ Color = Float[np.ndarray, " 3"]
 
 # The object may reach the border in places; a background that fills less than this share of it is not trusted.
 _BORDER_SHARE = 0.6
+# Where something else fills more than the rest of most borders, it may as well be a stand or a cloth as the object.
+_ALL_ROUND_SHARE = 0.95
 # Sensor noise and JPEG blocks stay within this of the background; anything closer to it is taken as background.
 _TOLERANCE = 0.04
 # The same for a background that is exactly one colour, as renderers make it: three steps of 255.
@@ -28,9 +30,10 @@ class Background:
     """Largest difference in a channel that still is background."""
 
 
-def common_background(images: Sequence[Image], lossless: bool) -> Background | None:
+def common_background(images: Sequence[Image], lossless: bool, *, all_round: bool = False) -> Background | None:
     """The one colour behind all images; None if their borders do not agree on one.
 
+    With ``all_round`` it must fill the border of most images, as it does around an object that is nowhere cut off.
     ``lossless`` says that the images never went through JPEG, whose errors are largest around the object.
     """
     rings = [_border(image) for image in images]
@@ -38,6 +41,8 @@ def common_background(images: Sequence[Image], lossless: bool) -> Background | N
     color = np.median(colors, axis=0)
     shares = [(np.abs(ring - color).max(axis=1) <= _TOLERANCE).mean() for ring in rings]
     if (np.array(shares) >= _BORDER_SHARE).mean() < 0.9:
+        return None
+    if all_round and np.median(shares) < _ALL_ROUND_SHARE:
         return None
     return given_background(color, images, lossless)
 

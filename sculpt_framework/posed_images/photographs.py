@@ -1,7 +1,7 @@
 """From photographs with cameras to a scene: masks where there are none, and the object's box."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -10,27 +10,15 @@ import torch
 from jaxtyping import Float64
 
 from sculpt_framework.errors import ConfigError, DataError
-from sculpt_framework.posed_images.box import fit_box
+from sculpt_framework.posed_images.box import Region, box_in_words, fit_box
+from sculpt_framework.posed_images.clues import Clues, points_bounds
 from sculpt_framework.posed_images.options import PhotographsConfig
+from sculpt_framework.posed_images.projected_box import box_outline
 from sculpt_framework.posed_images.views import PosedImage, load_views
+from sculpt_framework.threads import in_threads
 from sculpt_framework.types import Box, Scene, View
 
 Item = TypeVar("Item")
-_ENOUGH_POINTS = 30
-_QUANTILE = 0.02
-"""Share of points cut off at each end of each axis: triangulation leaves strays."""
-_POINT_MARGIN = 0.15
-"""Added at each side, as a share of the longest side: points are where there is texture, not everywhere."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Clues:
-    """What a layout knows of where the object is, besides its images. World frame."""
-
-    points: Float64[np.ndarray, "n 3"]
-    """Of a sparse reconstruction; may be none, and may lie on what is around the object."""
-    box: Box | None = None
-    """Where the data themselves say the object is."""
 
 
 def check_options(options: PhotographsConfig) -> None:
@@ -76,7 +64,7 @@ def load_photographs(
     """
     by_file = any(item.mask is not None for item in train)
     keyed = "none" if options.masks != "auto" or by_file else options.background
-    loaded = load_views(train, test, keyed, downscale=options.downscale)
+    loaded = load_views(train, test, keyed, downscale=options.downscale, all_round=True)
     said = [*notes, *loaded.notes]
     views, held_out = list(loaded.train), list(loaded.test)
     given = None if options.box is None else _box_of(options.box)
@@ -86,14 +74,18 @@ def load_photographs(
         seed, how = (given, "the box given") if given is not None else seed_box(views, clues)
         views, held_out, note = cut_out(views, held_out, seed)
         said += [f"the object is looked for in {how}.", note]
-    box, note = (given, "box as given.") if given is not None else _find_box(views, clues)
+    region = Region(box=given, said="box as given.", cuts=True) if given is not None else _find_region(views, clues)
+    if region.cuts:
+        views, held_out = _showing(_cut_to(region.box, views)), _cut_to(region.box, held_out)
+        if not views:
+            raise DataError(f"no train image shows any of the object inside the {region.said}")
     return Scene(
         name=name,
         train=tuple(views),
         test=tuple(held_out),
-        box=box,
+        box=region.box,
         reference_mesh=reference,
-        notes=(*said, note),
+        notes=(*said, region.said),
     )
 
 
@@ -104,25 +96,39 @@ def seed_box(views: Sequence[View], clues: Clues) -> tuple[Box, str]:
     wide as that space around the point the cameras look at.
     """
     if clues.box is not None:
-        return clues.box, "the box that comes with the cameras"
-    frusta, _ = fit_box([replace(view, alpha=None) for view in views])
+        return clues.box, clues.box_name
+    frusta = fit_box([replace(view, alpha=None) for view in views]).box
     low, high = frusta.minimum.numpy(), frusta.maximum.numpy()
     inside = clues.points[((clues.points > low) & (clues.points < high)).all(axis=1)]
-    if len(inside) >= _ENOUGH_POINTS:
-        corners = np.quantile(inside, [_QUANTILE, 1 - _QUANTILE], axis=0)
-        margin = _POINT_MARGIN * (corners[1] - corners[0]).max()
-        box = _box(np.maximum(corners[0] - margin, low), np.minimum(corners[1] + margin, high))
+    corners = points_bounds(inside)
+    if corners is not None:
+        box = _box(np.maximum(corners[0], low), np.minimum(corners[1], high))
         return box, f"the box of {len(inside)} of {len(clues.points)} sparse points"
     center, half = frusta.center.numpy(), 0.7 * frusta.half_sides.numpy() * frusta.scale
     return _box(center - half, center + half), "the middle of the space that all cameras see"
 
 
-def _find_box(views: Sequence[View], clues: Clues) -> tuple[Box, str]:
+def _find_region(views: Sequence[View], clues: Clues) -> Region:
     if any(view.alpha is not None for view in views):
-        return fit_box(views)
+        return fit_box(views, clues)
     box, how = seed_box(views, clues)
-    low, high = (" ".join(f"{value:.3g}" for value in corner.tolist()) for corner in (box.minimum, box.maximum))
-    return box, f"box ({low}) to ({high}) is {how}; there are no masks to fit it to: --dataset.box says it better."
+    said = f"{box_in_words(box)} is {how}; there are no masks to fit it to: --dataset.box says it better."
+    return Region(box=box, said=said, cuts=True)
+
+
+def _cut_to(box: Box, views: Sequence[View]) -> list[View]:
+    """The views with masks that leave out what no surface in the box covers: the object beyond it is background."""
+
+    def cut(view: View) -> View:
+        if view.alpha is None:
+            return view
+        return replace(view, alpha=view.alpha * torch.from_numpy(box_outline(view.camera, box)))
+
+    return in_threads(cut, views)
+
+
+def _showing(views: Sequence[View]) -> list[View]:
+    return [view for view in views if view.alpha is None or bool((view.alpha > 0.5).any())]
 
 
 def _box_of(corners: Sequence[float]) -> Box:

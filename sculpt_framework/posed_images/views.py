@@ -53,12 +53,19 @@ class LoadedViews:
 
 
 def load_views(
-    train: Sequence[PosedImage], test: Sequence[PosedImage], background: BackgroundOption, *, downscale: int = 1
+    train: Sequence[PosedImage],
+    test: Sequence[PosedImage],
+    background: BackgroundOption,
+    *,
+    downscale: int = 1,
+    all_round: bool = False,
 ) -> LoadedViews:
     """Decode, undistort, give an alpha to images without one, leave out train images that show nothing.
 
     ``background`` says what is behind images without alpha: ``auto`` looks for a constant colour in their borders,
-    ``none`` leaves them without alpha. Images are read at 1/``downscale`` of their width and height; 0 takes the
+    ``none`` leaves them without alpha; with ``all_round`` one that leaves gaps in most borders does not count.
+
+    Images are read at 1/``downscale`` of their width and height; 0 takes the
     smallest whole number with which all of them take at most ``IMAGE_BYTES``. No more images than there are threads
     are ever in memory at their full size.
 
@@ -78,7 +85,7 @@ def load_views(
             notes.append("every alpha channel is opaque everywhere and says nothing; it is ignored.")
         images = [replace(image, alpha=None) if _opaque(image) else image for image in images]
     if any(image.alpha is None for image in images):
-        images, note = _key(images, split, background)
+        images, note = _key(images, split, background, all_round=all_round)
         notes.append(note)
     views = [_view(item, camera, image) for item, camera, image in zip(posed, cameras, images, strict=True)]
     seen = [view for view in views[:split] if view.alpha is None or bool((view.alpha > 0.5).any())]
@@ -190,7 +197,9 @@ def _describe(images: Sequence[DecodedImage]) -> list[str]:
     return notes
 
 
-def _key(images: list[DecodedImage], split: int, background: BackgroundOption) -> tuple[list[DecodedImage], str]:
+def _key(
+    images: list[DecodedImage], split: int, background: BackgroundOption, *, all_round: bool
+) -> tuple[list[DecodedImage], str]:
     """Alpha for the images that have none, and the line that says so."""
     bare = [image for image in images if image.alpha is None]
     some = f"{len(bare)} of {len(images)} images have no alpha"
@@ -200,7 +209,7 @@ def _key(images: list[DecodedImage], split: int, background: BackgroundOption) -
     colors, lossless = [image.rgb for image in learned], all(image.lossless for image in learned)
     behind: Background | None
     if background == "auto":
-        behind = common_background(colors, lossless)
+        behind = common_background(colors, lossless, all_round=all_round)
         if behind is None:
             return images, f"{some} and their borders show no constant background: nothing is keyed out."
         found = "constant background found at the borders"

@@ -8,10 +8,11 @@ import torch
 
 from sculpt_framework.datasets import Dataset
 from sculpt_framework.errors import DataError
+from sculpt_framework.posed_images.clues import Clues
 from sculpt_framework.posed_images.folders import contents, scene_folder
 from sculpt_framework.posed_images.lens import Pinhole
 from sculpt_framework.posed_images.masks import find_masks
-from sculpt_framework.posed_images.photographs import Clues, check_options, hold_out, load_photographs
+from sculpt_framework.posed_images.photographs import check_options, hold_out, load_photographs
 from sculpt_framework.posed_images.views import PosedImage
 from sculpt_framework.types import Camera, Scene
 from sculpt_plugins.datasets.colmap import binary, text

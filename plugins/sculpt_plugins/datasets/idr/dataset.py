@@ -8,9 +8,10 @@ import torch
 
 from sculpt_framework.datasets import Dataset
 from sculpt_framework.errors import DataError
+from sculpt_framework.posed_images.clues import Clues
 from sculpt_framework.posed_images.folders import contents, scene_folder
 from sculpt_framework.posed_images.masks import EXTENSIONS, MASK_FOLDERS
-from sculpt_framework.posed_images.photographs import Clues, check_options, hold_out, load_photographs
+from sculpt_framework.posed_images.photographs import check_options, hold_out, load_photographs
 from sculpt_framework.posed_images.views import PosedImage
 from sculpt_framework.types import Camera, Scene
 from sculpt_plugins.datasets.idr.cameras import NAMES, PlacedCamera, ball_box, placed_camera, read_matrices
@@ -51,7 +52,7 @@ class IdrDataset(Dataset):
             mask = masks[index] if masks else None
             posed.append(PosedImage(name=image.stem, path=image, camera=partial(_camera, placed), mask=mask))
         train, test, note = hold_out(posed, self.config.test_every, str(path))
-        clues = Clues(points=np.zeros((0, 3)), box=ball_box(matrices, path))
+        clues = Clues(points=np.zeros((0, 3)), box=ball_box(matrices, path), box_name="the ball of scale_mat_0")
         reference = self.folder / "gt_mesh.ply"
         return load_photographs(
             self.folder.resolve().name,

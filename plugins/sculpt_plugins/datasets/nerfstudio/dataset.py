@@ -9,9 +9,10 @@ from jaxtyping import Float64
 
 from sculpt_framework.datasets import Dataset
 from sculpt_framework.errors import DataError
+from sculpt_framework.posed_images.clues import Clues
 from sculpt_framework.posed_images.folders import contents, scene_folder
 from sculpt_framework.posed_images.masks import find_masks
-from sculpt_framework.posed_images.photographs import Clues, check_options, hold_out, load_photographs
+from sculpt_framework.posed_images.photographs import check_options, hold_out, load_photographs
 from sculpt_framework.posed_images.reading import number, read_json
 from sculpt_framework.posed_images.transforms import Frame, posed_images, read_frames, rigid_matrix
 from sculpt_framework.types import Scene

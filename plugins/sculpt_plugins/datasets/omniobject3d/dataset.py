@@ -47,13 +47,13 @@ class OmniObject3DDataset(Dataset):
         loaded = load_views(
             posed_images(train), posed_images(test), self.config.background, downscale=self.config.downscale
         )
-        box, box_note = fit_box(loaded.train)
-        reference, scan_note = reference_mesh(self.folder, transforms, box)
+        region = fit_box(loaded.train)
+        reference, scan_note = reference_mesh(self.folder, transforms, region.box)
         return Scene(
             name=self.folder.resolve().name,
             train=loaded.train,
             test=loaded.test,
-            box=box,
+            box=region.box,
             reference_mesh=reference,
-            notes=(*notes, *loaded.notes, box_note, scan_note),
+            notes=(*notes, *loaded.notes, region.said, scan_note),
         )

@@ -93,10 +93,8 @@ def fit_box(views: Sequence[View], clues: Clues = NO_CLUES) -> Region:
     if found is None:
         if limit is not None:
             remark = f"; {limit.name} is not used: it holds no place inside the masks"
-        limit, found = (
-            None,
-            _around(outlines, masked, Rule(allowed=0, shown=0 if whole else math.ceil(_MAJORITY * len(outlines)))),
-        )
+        shown = 0 if whole else math.ceil(_MAJORITY * len(outlines))
+        limit, found = None, _around(outlines, masked, Rule(allowed=0, shown=shown))
     margin = _MARGIN * (found.high - found.low).max()
     box = Box(minimum=torch.from_numpy(found.low - margin), maximum=torch.from_numpy(found.high + margin))
     bounded = _bounded_otherwise(outlines, found, limit, whole)
@@ -164,12 +162,12 @@ def _share_outside(outline: Outline, low: Corner, high: Corner) -> float:
 
 
 def _inside_masks(outlines: Sequence[Outline], points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "m 3"]:
-    """Points that lie in several masks, and that almost no view rules out."""
+    """Points that lie in several masks, and that almost none of the views that show them rules out."""
     middle = np.median(points, axis=0)
     said = [admits(outline, middle, (points - middle).astype(np.float32), 0.0) for outline in outlines]
     misses = np.sum([~admitted for admitted, _ in said], axis=0)
     shown = np.sum([vote > 0 for _, vote in said], axis=0)
-    return points[(misses <= _TOLERATED * len(outlines)) & (shown >= min(_TRIANGULATED, len(outlines)))]
+    return points[(misses <= _TOLERATED * (misses + shown)) & (shown >= min(_TRIANGULATED, len(outlines)))]
 
 
 def _within_limit(outlines: Sequence[Outline], masked: int, limit: _Limit, whole: bool) -> _Bounds | None:

@@ -15,7 +15,7 @@ _COLUMNS = 8
 _MOST = 40
 _MAP = 4 * _THUMB
 _INK, _BOX, _CAMERA, _TEST, _OUTLINE = (40, 44, 52), (46, 125, 50), (25, 90, 170), (200, 110, 20), (230, 30, 120)
-_EDGE, _EDGE_BELOW = (110, 235, 115), (20, 60, 25)
+_EDGE = (0, 190, 60)
 """sRGB."""
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
@@ -58,15 +58,12 @@ def thumbnail(view: View, box: Box) -> Picture:
 
 
 def _draw_edges(pixels: Picture, edges: Float64[np.ndarray, "n 2 2"]) -> None:
-    """Dark below and bright on top, to be seen on any photograph."""
     height, width = pixels.shape[:2]
     # A pixel's centre is half a pixel from its corner, and at a whole number where lines are drawn.
-    ends = np.rint(edges - 0.5).astype(np.int64)
-    parts = [cv2.clipLine((-2, -2, width + 4, height + 4), start.tolist(), end.tolist()) for start, end in ends]
-    for color, wide in (_EDGE_BELOW, 3), (_EDGE, 1):
-        for meets, start, end in parts:
-            if meets:
-                cv2.line(pixels, start, end, color, wide, cv2.LINE_AA)
+    for start, end in np.rint(edges - 0.5).astype(np.int64).tolist():
+        meets, first, last = cv2.clipLine((0, 0, width, height), start, end)
+        if meets:
+            cv2.line(pixels, first, last, _EDGE, 1)
 
 
 def _plan(scene: Scene, axes: tuple[int, int], title: str) -> Picture:

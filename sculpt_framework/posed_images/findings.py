@@ -95,7 +95,7 @@ def _extent(mask: np.ndarray) -> float:
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     if len(rows) == 0:
         return 0.0
-    return max(np.ptp(rows) + 1, np.ptp(columns) + 1) / min(mask.shape)
+    return float(max(np.ptp(rows) + 1, np.ptp(columns) + 1)) / min(mask.shape)
 
 
 def _share_outside(view: View, mask: np.ndarray, box: Box) -> float:

@@ -11,10 +11,14 @@ _NEAR = 0.05
 
 
 def box_outline(camera: Camera, box: Box, share: float = 1.0) -> Bool[np.ndarray, "h w"]:
-    """Pixels inside the outline of a box of ``share`` of the size; all of them where it reaches behind the camera."""
+    """Pixels inside the outline of a box of ``share`` of the size.
+
+    None where the box is behind the camera, all where only a part of it is.
+    """
     local = _corners(camera, box, share)
-    if (local[:, 2] <= 1e-6 * np.abs(local).max()).any():
-        return np.ones((camera.height, camera.width), bool)
+    behind = local[:, 2] <= 1e-6 * np.abs(local).max()
+    if behind.any():
+        return np.full((camera.height, camera.width), not behind.all())
     inside = np.zeros((camera.height, camera.width), np.uint8)
     # Far outside the image a polygon's corners may not fit the drawing's integers.
     limit = 50 * max(camera.width, camera.height)

@@ -65,9 +65,8 @@ def load_views(
     ``background`` says what is behind images without alpha: ``auto`` looks for a constant colour in their borders,
     ``none`` leaves them without alpha; with ``all_round`` one that leaves gaps in most borders does not count.
 
-    Images are read at 1/``downscale`` of their width and height; 0 takes the
-    smallest whole number with which all of them take at most ``IMAGE_BYTES``. No more images than there are threads
-    are ever in memory at their full size.
+    Images are read at 1/``downscale`` of their width and height; 0 takes the smallest whole number with which all of
+    them take at most ``IMAGE_BYTES``. No more images than there are threads are ever in memory at their full size.
 
     Raises DataError for a damaged image, for images that do not fit their camera or do not fit into memory, and if all
     images are transparent.

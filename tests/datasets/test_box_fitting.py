@@ -3,34 +3,16 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
 import pytest
 import torch
+from silhouettes import ball_views
 
 from sculpt_framework.demo_scenes.cameras import demo_cameras
 from sculpt_framework.errors import DataError
 from sculpt_framework.posed_images.box import fit_box
-from sculpt_framework.types import Camera, View
+from sculpt_framework.types import Camera
 
 SIDE = 96
-
-
-def _views(centers: Sequence[Sequence[float]], radii: Sequence[float], cameras: Sequence[Camera]) -> list[View]:
-    """Exact silhouettes of balls."""
-    views = []
-    for camera in cameras:
-        pose = camera.world_to_camera.numpy()
-        rows, columns = np.indices((camera.height, camera.width)) + 0.5
-        rays = np.stack([(columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, np.ones_like(rows)])
-        rays /= np.linalg.norm(rays, axis=0)
-        mask = np.zeros(rows.shape, bool)
-        for center, radius in zip(centers, radii, strict=True):
-            local = pose[:3, :3] @ np.array(center) + pose[:3, 3]
-            along = np.einsum("c,chw->hw", local, rays)
-            mask |= (local @ local - along**2 < radius**2) & (along > 0)
-        alpha = torch.from_numpy(mask.astype(np.float32))
-        views.append(View(name="v", camera=camera, rgb=torch.zeros(*alpha.shape, 3), alpha=alpha))
-    return views
 
 
 def _moved(camera: Camera, by: Sequence[float]) -> Camera:
@@ -42,7 +24,8 @@ def _moved(camera: Camera, by: Sequence[float]) -> Camera:
 @pytest.mark.parametrize("views", [8, 40])
 def test_box_is_tight(views: int) -> None:
     centers, radii = [(0.3, 0.0, -0.1), (-0.4, 0.2, 0.3)], [0.4, 0.2]
-    box, note = fit_box(_views(centers, radii, demo_cameras(views, SIDE)))
+    region = fit_box(ball_views(centers, radii, demo_cameras(views, SIDE)))
+    box, note = region.box, region.said
     low = torch.tensor([-0.6, -0.4, -0.5], dtype=torch.float64)
     high = torch.tensor([0.7, 0.4, 0.5], dtype=torch.float64)
     assert (box.minimum <= low).all()
@@ -56,13 +39,13 @@ def test_box_is_tight(views: int) -> None:
 
 def test_thin_parts_are_not_lost() -> None:
     """A speck of two pixels far from the body is inside the box."""
-    box, _ = fit_box(_views([(0, 0, 0), (0.9, 0, 0)], [0.2, 0.03], demo_cameras(20, SIDE)))
+    box = fit_box(ball_views([(0, 0, 0), (0.9, 0, 0)], [0.2, 0.03], demo_cameras(20, SIDE))).box
     assert box.maximum[0] >= 0.93
 
 
 def test_object_far_from_where_the_cameras_look() -> None:
     """The middle of the masks counts, not the middle of the images."""
-    box, _ = fit_box(_views([(0.7, 0.5, 0.4)], [0.2], demo_cameras(12, SIDE)))
+    box = fit_box(ball_views([(0.7, 0.5, 0.4)], [0.2], demo_cameras(12, SIDE))).box
     torch.testing.assert_close(box.center, torch.tensor([0.7, 0.5, 0.4], dtype=torch.float64), rtol=0, atol=0.04)
     assert box.scale < 0.3
 
@@ -70,7 +53,7 @@ def test_object_far_from_where_the_cameras_look() -> None:
 def test_world_units_and_origin_do_not_matter() -> None:
     away = (1e5, -3e4, 2e4)
     cameras = [_moved(camera, away) for camera in demo_cameras(12, SIDE)]
-    box, _ = fit_box(_views([away], [0.5], cameras))
+    box = fit_box(ball_views([away], [0.5], cameras)).box
     torch.testing.assert_close(box.center, torch.tensor(away, dtype=torch.float64), rtol=0, atol=0.03)
     assert 0.5 < box.scale < 0.6
 
@@ -81,7 +64,7 @@ def test_masks_cut_by_the_border_carve_nothing_outside() -> None:
     close = [
         replace(camera, fx=3 * camera.fx, fy=3 * camera.fy) if n % 2 else camera for n, camera in enumerate(cameras)
     ]
-    box, _ = fit_box(_views([(0, 0, 0)], [0.9], close))
+    box = fit_box(ball_views([(0, 0, 0)], [0.9], close)).box
     assert (box.minimum <= -0.9).all()
     assert (box.maximum >= 0.9).all()
     assert box.scale < 1.1
@@ -89,31 +72,33 @@ def test_masks_cut_by_the_border_carve_nothing_outside() -> None:
 
 def test_only_close_ups() -> None:
     cameras = [replace(camera, fx=3 * camera.fx, fy=3 * camera.fy) for camera in demo_cameras(24, SIDE)]
-    box, _ = fit_box(_views([(0, 0, 0)], [0.9], cameras))
+    box = fit_box(ball_views([(0, 0, 0)], [0.9], cameras)).box
     assert 0.3 < box.scale < 4
 
 
 def test_few_wrong_masks_are_outvoted() -> None:
-    views = _views([(0, 0, 0)], [0.5], demo_cameras(20, SIDE))
+    views = ball_views([(0, 0, 0)], [0.5], demo_cameras(20, SIDE))
     wrong = torch.zeros(SIDE, SIDE)
     wrong[2:6, 2:6] = 1
     views[3] = replace(views[3], alpha=wrong)
-    box, note = fit_box(views)
+    region = fit_box(views)
+    box, note = region.box, region.said
     assert "may contradict the others" in note
     assert (box.maximum >= 0.5).all()
     assert box.scale < 0.7
 
 
 def test_contradicting_masks_are_refused() -> None:
-    left = _views([(0.8, 0, 0)], [0.1], demo_cameras(10, SIDE))
-    right = _views([(-0.8, 0, 0)], [0.1], demo_cameras(10, SIDE))
+    left = ball_views([(0.8, 0, 0)], [0.1], demo_cameras(10, SIDE))
+    right = ball_views([(-0.8, 0, 0)], [0.1], demo_cameras(10, SIDE))
     with pytest.raises(DataError, match=r"masks of all views: poses and images do not fit together"):
         fit_box([*left[:5], *right[5:]])
 
 
 def test_views_without_alpha_give_the_intersection_of_frusta() -> None:
-    views = [replace(view, alpha=None) for view in _views([(0, 0, 0)], [0.5], demo_cameras(30, SIDE))]
-    box, note = fit_box(views)
+    views = [replace(view, alpha=None) for view in ball_views([(0, 0, 0)], [0.5], demo_cameras(30, SIDE))]
+    region = fit_box(views)
+    box, note = region.box, region.said
     assert "frusta of 30 views" in note
     assert (box.minimum <= -1.0).all()
     assert (box.maximum >= 1.0).all()
@@ -125,7 +110,8 @@ def test_two_opposite_views() -> None:
     camera = demo_cameras(1, SIDE)[0]
     turned = camera.world_to_camera.clone()
     turned[:3, :3] = torch.diag(torch.tensor([-1.0, 1, -1], dtype=torch.float64)) @ turned[:3, :3]
-    box, note = fit_box(_views([(0, 0, 0)], [0.5], [camera, replace(camera, world_to_camera=turned)]))
+    region = fit_box(ball_views([(0, 0, 0)], [0.5], [camera, replace(camera, world_to_camera=turned)]))
+    box, note = region.box, region.said
     assert "around the distance" in note
     assert (box.maximum >= 0.45).all()
     assert box.scale < 1

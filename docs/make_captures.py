@@ -26,9 +26,9 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-
 from blender_captures import carvings, developing, house, printed, rigs
 from blender_captures.parts import Piece, standing
+
 from sculpt_framework.export.atomic import write_atomically
 
 
@@ -44,9 +44,7 @@ KINDS = {
     "lab": Kind(rig=rigs.lab, objects={"house": house.house, "skull": carvings.skull}),
     "museum": Kind(rig=rigs.museum, objects={"head": carvings.head, "cape": carvings.cape}),
     "turntable": Kind(rig=rigs.turntable, objects={"pot": carvings.pot, "statue": carvings.statue}),
-    "phone": Kind(
-        rig=rigs.phone, objects={"relief": carvings.relief, "box": printed.box_and_mug}, pose_error=0.4
-    ),
+    "phone": Kind(rig=rigs.phone, objects={"relief": carvings.relief, "box": printed.box_and_mug}, pose_error=0.4),
 }
 NAMES = [f"{kind}_{name}" for kind in KINDS for name in KINDS[kind].objects]
 

@@ -122,7 +122,7 @@ def _head(p: Points) -> Values:
     flesh = smooth_union(flesh, ear, 0.03)
     for z in (-0.34, -0.42, -0.5, -0.58):
         flesh = smooth_union(flesh, ring(p, (0, 0.05, z), 2, 0.215, 0.028), 0.015)
-    furrows = 0.007 * np.sin(2 * np.pi * p[0] / 0.045) * _step(-0.14 - p[1]) * _step(0.4 - p[2]) * _step(p[2] + 0.25)
+    furrows = 0.004 * np.sin(2 * np.pi * p[0] / 0.045) * _step(-0.14 - p[1]) * _step(0.4 - p[2]) * _step(p[2] + 0.25)
     scalp = _step(p[2] - 0.42 - 0.4 * np.maximum(-p[1], 0)) + _step(p[1] - 0.12) * _step(p[2] - 0.05)
     return 0.35 * (flesh + furrows - 0.02 * _curls(p) * np.minimum(scalp, 1))
 

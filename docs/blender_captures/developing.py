@@ -3,7 +3,7 @@
 import io
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -31,7 +31,7 @@ class Camera:
     """Standard deviation at black."""
     quality: int = 95
     """JPEG's."""
-    distortion: Distortion = Distortion(coefficients=())
+    distortion: Distortion = field(default_factory=lambda: Distortion(coefficients=()))
     border: int = 0
     """Pixels to be rendered on each side beyond the image, for the lens to bend in."""
 
@@ -48,7 +48,7 @@ CAMERAS = {
         distortion=Distortion(coefficients=(-0.07, 0.03, 0.0008, -0.0006)),
         border=28,
     ),
-    "turntable": Camera(stops=0.0, shot_noise=6e-5, read_noise=8e-4),
+    "turntable": Camera(stops=-0.4, shot_noise=6e-5, read_noise=8e-4),
     "museum": Camera(stops=0.2, stops_spread=0.12, white_spread=0.02, shot_noise=2e-4, read_noise=1.5e-3, quality=92),
 }
 

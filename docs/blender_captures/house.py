@@ -14,7 +14,10 @@ def house() -> list[Piece]:
     walls += [_gable(0.8, 0.42, 1.7, [0, 0.15, 0.8], 90), _gable(0.62, 0.36, 0.62, [0.28, -0.38, 0.95], 0)]
     white, glass, slate, copper, stone = [], [], [], [], []
     holes = []
-    front = [(x, -0.25, z) for x in (-0.72, -0.47, -0.22) for z in (0.24, 0.58)] + [(0.74, -0.25, 0.24), (0.74, -0.25, 0.58)]
+    front = [(x, -0.25, z) for x in (-0.72, -0.47, -0.22) for z in (0.24, 0.58)] + [
+        (0.74, -0.25, 0.24),
+        (0.74, -0.25, 0.58),
+    ]
     front += [(x, -0.69, z) for x in (0.12, 0.28, 0.44) for z in (0.28, 0.6, 0.86)] + [(0.28, -0.69, 1.08)]
     for x, y, z in front:
         _window(holes, white, glass, stone, (x, y, z), 0)
@@ -29,7 +32,9 @@ def house() -> list[Piece]:
         [trimesh.boolean.union(walls, engine="manifold"), trimesh.boolean.union(holes, engine="manifold")],
         engine="manifold",
     )
-    slate += _tiles(chance, 0.8, 0.42, 1.74, [0, 0.15, 0.8], 90) + _tiles(chance, 0.62, 0.36, 0.56, [0.28, -0.38, 0.95], 0)
+    slate += _tiles(chance, 0.8, 0.42, 1.74, [0, 0.15, 0.8], 90) + _tiles(
+        chance, 0.62, 0.36, 0.56, [0.28, -0.38, 0.95], 0
+    )
     bricks = [brick, block([0.13, 0.13, 0.42], [-0.5, 0.3, 1.2]), block([0.11, 0.11, 0.36], [0.66, 0.1, 1.2])]
     stone += [block([0.16, 0.16, 0.04], [-0.5, 0.3, 1.41]), block([0.14, 0.14, 0.04], [0.66, 0.1, 1.38])]
     stone += [disc(0.03, 0.1, [-0.53 + 0.06 * i, 0.3, 1.46], sections=24) for i in range(2)]

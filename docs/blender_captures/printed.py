@@ -8,7 +8,7 @@ from trimesh.visual.material import SimpleMaterial
 
 from blender_captures.parts import Piece, block
 
-WORDS = "oats barley honey crisp whole grain 500 g best before see lid keep dry shake well serve cold no sugar added".split()
+WORDS = ("oats", "barley", "honey", "crisp", "whole grain", "500 g", "best before", "see lid", "keep dry", "no sugar")
 
 
 def box_and_mug() -> list[Piece]:

@@ -93,7 +93,10 @@ def turntable(scene, floor: float, grain: str) -> Room:
 
 def museum(scene, floor: float, grain: str) -> Room:
     """A plinth in a dark hall with spot lights above, lit panels and lamps to be mirrored."""
-    meshes = [(block([1.9, 1.9, 0.5], [0, 0, floor - 0.25]), "felt"), (block([14, 14, 0.1], [0, 0, floor - 1.6]), "wood")]
+    meshes = [
+        (block([1.9, 1.9, 0.5], [0, 0, floor - 0.25]), "felt"),
+        (block([14, 14, 0.1], [0, 0, floor - 1.6]), "wood"),
+    ]
     for x, y, turn in ((0, 6, 0), (0, -6, 0), (6, 0, 90), (-6, 0, 90)):
         meshes.append((block([12, 0.1, 8], [x, y, 1.5], [0, 0, turn]), "slate" if x else "books"))
     for k, (x, y) in enumerate(((-3, 5.9), (2.5, 5.9), (5.9, 2), (5.9, -3), (-5.9, -1), (-2, -5.9), (3, -5.9))):
@@ -117,4 +120,3 @@ def _thing(scene, grain: str, mesh: trimesh.Trimesh, paint: str):
 
 
 ROOMS = {"lab": lab, "phone": phone, "turntable": turntable, "museum": museum}
-

@@ -67,7 +67,9 @@ def add_area_lamp(scene, place: Sequence[float], watts: float, size: float, colo
     return _add_lamp(scene, lamp, place, (0, 0, 0))
 
 
-def add_spot(scene, place: Sequence[float], target: Sequence[float], watts: float, angle: float, color: Sequence[float]):
+def add_spot(
+    scene, place: Sequence[float], target: Sequence[float], watts: float, angle: float, color: Sequence[float]
+):
     """A cone of ``angle`` degrees."""
     lamp = bpy.data.lights.new("spot", "SPOT")
     lamp.energy, lamp.spot_size, lamp.spot_blend, lamp.color = watts, math.radians(angle), 0.4, color
@@ -101,7 +103,12 @@ def write_passes(scene, cover: str) -> None:
     """Linear light and the pass ``cover`` of materials into one file, without compression."""
     kind = scene.render.image_settings
     kind.media_type = "MULTI_LAYER_IMAGE"
-    kind.file_format, kind.exr_codec, kind.use_exr_interleave, kind.color_depth = "OPEN_EXR_MULTILAYER", "NONE", True, "16"
+    kind.file_format, kind.exr_codec, kind.use_exr_interleave, kind.color_depth = (
+        "OPEN_EXR_MULTILAYER",
+        "NONE",
+        True,
+        "16",
+    )
     made = scene.view_layers[0].aovs.add()
     made.name, made.type = cover, "VALUE"
 

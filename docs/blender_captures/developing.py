@@ -4,6 +4,7 @@ import io
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -79,6 +80,12 @@ def _bent(values: Float32[np.ndarray, "..."], camera: Camera, focal: float) -> n
     """As the lens bends it, without the border."""
     if camera.distortion.is_none:
         return values
+    return cv2.remap(values, _origins(camera, focal), None, cv2.INTER_CUBIC)
+
+
+@lru_cache(maxsize=1)
+def _origins(camera: Camera, focal: float) -> Float32[np.ndarray, "h w 2"]:
+    """Where each pixel comes from in what is rendered, as OpenCV counts; kept, as all photographs have one lens."""
     rows, columns = np.mgrid[0:HEIGHT, 0:WIDTH] + 0.5
     lens = Pinhole(fx=focal, fy=focal, cx=WIDTH / 2, cy=HEIGHT / 2)
     ways = straightened(np.stack([columns.ravel(), rows.ravel()], axis=1), lens, camera.distortion)
@@ -86,7 +93,7 @@ def _bent(values: Float32[np.ndarray, "..."], camera: Camera, focal: float) -> n
     places = (focal * ways + middle).astype(np.float32).reshape(HEIGHT, WIDTH, 2)
     if places.min() < 0 or (places.reshape(-1, 2).max(axis=0) > 2 * middle).any():
         raise ValueError(f"the lens looks beyond a border of {camera.border} pixels")
-    return cv2.remap(values, places, None, cv2.INTER_CUBIC)
+    return places
 
 
 def transforms(rig: Rig, camera: Camera, names: Sequence[str]) -> bytes:

@@ -12,7 +12,7 @@ from jaxtyping import Float32
 from PIL import Image
 
 from blender_captures.rigs import HEIGHT, WIDTH, Rig
-from sculpt_framework.posed_images.distortion import Distortion, straightened
+from sculpt_framework.posed_images.distortion import Distortion, cv_matrix
 from sculpt_framework.posed_images.lens import Pinhole
 
 
@@ -38,7 +38,7 @@ class Camera:
 
 
 CAMERAS = {
-    "lab": Camera(stops=-1.3, shot_noise=2e-5, read_noise=5e-4),
+    "lab": Camera(stops=-0.95, shot_noise=2e-5, read_noise=5e-4),
     "phone": Camera(
         stops=0.1,
         stops_spread=0.35,
@@ -88,7 +88,8 @@ def _origins(camera: Camera, focal: float) -> Float32[np.ndarray, "h w 2"]:
     """Where each pixel comes from in what is rendered, as OpenCV counts; kept, as all photographs have one lens."""
     rows, columns = np.mgrid[0:HEIGHT, 0:WIDTH] + 0.5
     lens = Pinhole(fx=focal, fy=focal, cx=WIDTH / 2, cy=HEIGHT / 2)
-    ways = straightened(np.stack([columns.ravel(), rows.ravel()], axis=1), lens, camera.distortion)
+    pixels = np.stack([columns, rows], axis=2).reshape(-1, 1, 2) - 0.5
+    ways = cv2.undistortPoints(pixels, cv_matrix(lens), np.array(camera.distortion.coefficients))[:, 0]
     middle = np.array([WIDTH / 2, HEIGHT / 2]) + camera.border - 0.5
     places = (focal * ways + middle).astype(np.float32).reshape(HEIGHT, WIDTH, 2)
     if places.min() < 0 or (places.reshape(-1, 2).max(axis=0) > 2 * middle).any():

@@ -6,7 +6,7 @@ import numpy as np
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from blender_captures.parts import Piece
+from blender_captures.parts import Piece, without_crumbs
 from sculpt_framework.demo_scenes.distance import (
     Points,
     Values,
@@ -59,8 +59,8 @@ def _piece(
     distance: Callable[[Points], Values], paint: str, tint: Callable[[Points], np.ndarray] | None = None
 ) -> Piece:
     vertices, faces = reference_mesh(distance, CELLS)
-    mesh = trimesh.Trimesh(vertices, faces, process=False)
-    return Piece(mesh=mesh, paint=paint, tint=tint(vertices.T) if tint else None)
+    mesh = without_crumbs(trimesh.Trimesh(vertices, faces, process=False))
+    return Piece(mesh=mesh, paint=paint, tint=tint(np.asarray(mesh.vertices).T) if tint else None)
 
 
 def waves(p: Points, size: float, seed: int, count: int = 12) -> Values:

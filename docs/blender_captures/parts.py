@@ -9,6 +9,8 @@ from jaxtyping import Float64
 from numpy.typing import ArrayLike
 from trimesh.creation import box, cylinder
 
+CRUMB = 1e-4
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Piece:
@@ -55,6 +57,17 @@ def united(meshes: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
     return trimesh.boolean.union(list(meshes), engine="manifold")
 
 
+def without_crumbs(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """Without bodies and hollows of less than ``CRUMB`` of its volume, which no photograph shows."""
+    labels = trimesh.graph.connected_component_labels(mesh.face_adjacency, node_count=len(mesh.faces))
+    corners = mesh.vertices[mesh.faces]
+    shares = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6
+    volumes = np.bincount(labels, shares)
+    kept = trimesh.Trimesh(mesh.vertices, mesh.faces[np.abs(volumes[labels]) >= CRUMB * mesh.volume], process=False)
+    kept.remove_unreferenced_vertices()
+    return kept
+
+
 def bare(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     """Its shape alone: vertices that only texture coordinates keep apart are one."""
     shape = trimesh.Trimesh(mesh.vertices.copy(), mesh.faces.copy(), process=False)
@@ -65,7 +78,7 @@ def bare(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 def standing(pieces: Sequence[Piece]) -> tuple[list[Piece], trimesh.Trimesh]:
     """Moved and scaled into the unit ball around the origin, and the surface of all of them: the truth."""
     shapes = [bare(piece.mesh) for piece in pieces]
-    whole = united(shapes) if len(shapes) > 1 else shapes[0]
+    whole = without_crumbs(united(shapes) if len(shapes) > 1 else shapes[0])
     middle = whole.bounds.mean(axis=0)
     scale = 1 / np.linalg.norm(whole.vertices - middle, axis=1).max()
     for mesh in (whole, *(piece.mesh for piece in pieces)):

@@ -9,8 +9,11 @@ import numpy as np
 import pytest
 from blender_captures import developing, rigs
 from blender_captures.exr import read_passes
+from blender_captures.parts import Piece, standing
 from make_captures import KINDS, write_cameras
+from trimesh import Trimesh
 from trimesh.creation import icosphere
+from trimesh.util import concatenate
 
 from sculpt_framework.posed_images.distortion import distorted_pixels
 from sculpt_framework.posed_images.lens import Pinhole
@@ -34,6 +37,20 @@ def test_every_view_shows_the_object_and_only_the_lab_cuts_it(kind: str, count: 
         assert min(seen) > 0.3
     else:
         assert min(seen) == 1
+
+
+def test_truth_is_one_surface_in_the_unit_ball_without_crumbs():
+    solid, crumb, hollow = icosphere(3, 2.0), icosphere(2, 0.03), icosphere(2, 0.05)
+    crumb.apply_translation([2.2, 0, 0])
+    hollow.invert()
+    mesh = concatenate([solid, crumb, hollow])
+    assert isinstance(mesh, Trimesh)
+    pieces, truth = standing([Piece(mesh=mesh, paint="plaster")])
+    assert truth.is_watertight
+    assert len(truth.faces) == len(solid.faces)
+    np.testing.assert_allclose(np.linalg.norm(truth.vertices, axis=1), 1, atol=1e-9)
+    largest = np.linalg.norm(pieces[0].mesh.vertices, axis=1).max()
+    assert largest == pytest.approx(2.23 / 2)
 
 
 def test_a_turntable_stands_still_in_its_room():

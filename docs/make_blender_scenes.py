@@ -18,8 +18,8 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from numpy.typing import ArrayLike
-from trimesh.creation import annulus, box, cylinder, icosphere, revolve
+from blender_captures.parts import at, block, disc, rod, united
+from trimesh.creation import annulus, icosphere, revolve
 
 Part = tuple[trimesh.Trimesh, str]
 """A closed surface and the name of what it is made of."""
@@ -72,13 +72,7 @@ def place(height: float, turn: float) -> tuple[float, float, float]:
 
 def in_one_piece(parts: Sequence[Part]) -> trimesh.Trimesh:
     """The union of the parts, which are moved and scaled with it to fill the ball."""
-    for mesh, _ in parts:
-        mesh.merge_vertices()
-        mesh.update_faces(mesh.nondegenerate_faces())
-        mesh.fix_normals()
-        if mesh.volume < 0:
-            mesh.invert()
-    whole = trimesh.boolean.union([mesh for mesh, _ in parts], engine="manifold")
+    whole = united([mesh for mesh, _ in parts])
     middle = whole.bounds.mean(axis=0)
     scale = RADIUS / np.linalg.norm(whole.vertices - middle, axis=1).max()
     for mesh in (whole, *(mesh for mesh, _ in parts)):
@@ -88,28 +82,6 @@ def in_one_piece(parts: Sequence[Part]) -> trimesh.Trimesh:
 
 
 # -- shapes ------------------------------------------------------------------------------------------------------
-
-
-def at(mesh: trimesh.Trimesh, place: Sequence[float], turn: Sequence[float] = (0, 0, 0)) -> trimesh.Trimesh:
-    """A copy, turned (degrees about x, y, z) and moved."""
-    mesh = mesh.copy()
-    mesh.apply_transform(trimesh.transformations.euler_matrix(*np.radians(turn)))
-    mesh.apply_translation(place)
-    return mesh
-
-
-def rod(start: ArrayLike, end: ArrayLike, radius: float, sections: int = 10) -> trimesh.Trimesh:
-    return cylinder(radius=radius, segment=np.stack([np.asarray(start), np.asarray(end)]), sections=sections)
-
-
-def block(size: Sequence[float], place: Sequence[float], turn: Sequence[float] = (0, 0, 0)) -> trimesh.Trimesh:
-    return at(box(size), place, turn)
-
-
-def disc(
-    radius: float, height: float, place: Sequence[float], turn: Sequence[float] = (0, 0, 0), sections: int = 32
-) -> trimesh.Trimesh:
-    return at(cylinder(radius=radius, height=height, sections=sections), place, turn)
 
 
 def bulldozer() -> list[Part]:
@@ -308,58 +280,29 @@ def render(
     """Pictures from these places by Cycles on the CPU, and the poses in transforms_SPLIT.json. What is there stays."""
     # Not installed with the project.
     import bpy  # pyright: ignore[reportMissingImports]
-    from mathutils import Vector  # pyright: ignore[reportMissingImports]
+    from blender_captures import stage
 
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    scene = bpy.context.scene
-    set_up(scene, resolution)
-    world = bpy.data.worlds.new("sky")
-    scene.world, world.use_nodes = world, True
-    sky = world.node_tree.nodes["Background"]
-    sky.inputs[0].default_value, sky.inputs[1].default_value = (0.8, 0.85, 1, 1), 0.7
+    scene = stage.empty_scene(resolution, resolution)
+    stage.sky(scene, (0.8, 0.85, 1), 0.7)
     for material in {material for _, material in parts}:
         merged = trimesh.util.concatenate([mesh for mesh, own in parts if own == material])
         assert isinstance(merged, trimesh.Trimesh)  # noqa: S101
-        data = bpy.data.meshes.new(material)
-        data.from_pydata(merged.vertices.tolist(), [], merged.faces.tolist())
-        data.materials.append(painted(bpy, material))
-        scene.collection.objects.link(bpy.data.objects.new(material, data))
+        stage.add_mesh(scene, material, merged, painted(bpy, material))
     for where, watts in LAMPS:
-        lamp = bpy.data.lights.new("lamp", "AREA")
-        lamp.energy, lamp.size = watts, 2
-        stand = bpy.data.objects.new("lamp", lamp)
-        stand.location, stand.rotation_euler = where, (-Vector(where)).to_track_quat("-Z", "Y").to_euler()
-        scene.collection.objects.link(stand)
-    lens = bpy.data.cameras.new("camera")
-    lens.angle = ANGLE
-    camera = bpy.data.objects.new("camera", lens)
-    scene.collection.objects.link(camera)
-    scene.camera = camera
+        stage.add_area_lamp(scene, where, watts, 2)
+    camera = stage.add_camera(scene, ANGLE)
     for split, positions in places.items():
         frames = []
         for i, where in enumerate(positions):
-            camera.location, camera.rotation_euler = where, (-Vector(where)).to_track_quat("-Z", "Y").to_euler()
+            camera.location, camera.rotation_euler = where, stage.facing(where, (0, 0, 0))
             bpy.context.view_layer.update()
             picture = folder / split / f"r_{i}.png"
-            scene.render.filepath = str(picture)
             if not picture.exists():
-                bpy.ops.render.render(write_still=True)
+                stage.shoot(scene, picture)
             pose = [list(row) for row in camera.matrix_world]
             frames.append({"file_path": f"./{split}/r_{i}", "transform_matrix": pose})
-        text = json.dumps({"camera_angle_x": lens.angle_x, "frames": frames}, indent=1)
+        text = json.dumps({"camera_angle_x": camera.data.angle_x, "frames": frames}, indent=1)
         (folder / f"transforms_{split}.json").write_text(text)
-
-
-def set_up(scene, resolution: int) -> None:
-    """Cycles, few samples, without noise, before nothing."""
-    scene.render.engine, scene.cycles.device = "CYCLES", "CPU"
-    scene.cycles.samples, scene.cycles.max_bounces = 16, 5
-    scene.cycles.use_adaptive_sampling, scene.cycles.adaptive_threshold = True, 0.05
-    scene.cycles.use_denoising, scene.render.use_persistent_data = True, True
-    scene.render.resolution_x = scene.render.resolution_y = resolution
-    scene.render.film_transparent = True
-    scene.render.image_settings.file_format, scene.render.image_settings.color_mode = "PNG", "RGBA"
-    scene.view_settings.view_transform = "Standard"
 
 
 def painted(bpy, name: str):

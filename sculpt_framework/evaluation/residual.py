@@ -1,0 +1,109 @@
+"""What is left between two photographs when one is brought into the other through a mesh."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import Float32, Float64, Int64, UInt8
+
+from sculpt_framework.cpu_kernels import kernel_cache
+from sculpt_framework.evaluation.image_pairs import PreparedImage
+from sculpt_framework.evaluation.mesh import Mesh
+from sculpt_framework.export.mesh_pixels import MeshPixels, farthest_around, lens_values
+
+with kernel_cache("evaluation", Path(__file__).with_name("warp_kernels.py")):
+    from sculpt_framework.evaluation import warp_kernels as kernels
+
+STRIDE = 2
+"""Every so many pixels are judged, down and across: the flow is smoother than that."""
+_FLOW_CONTRAST = np.float32(40)
+"""Farneback's flow is made for contrasts of 8-bit images; ours are of size 1."""
+_FLOW_WINDOW, _FLOW_LEVELS, _FLOW_ROUNDS = 21, 5, 3
+_BORDER = np.ones((5, 5), np.uint8)
+"""Pixels so near the border of what both images show are not judged."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Residuals:
+    """Of one pair of images."""
+
+    pixels: Float32[np.ndarray, " n"]
+    """Length of the displacement left, in pixels of the first image, for every pixel that is judged."""
+    depths: Float64[np.ndarray, " m"]
+    """How far the surface is off across itself, scene units, where the displacement leads to a place on the surface."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Warp:
+    """Where the first image's pixels lie in the second, as ``warp_kernels.project`` says."""
+
+    places: Float32[np.ndarray, "h w 2"]
+    slopes: Float32[np.ndarray, "h w 2"]
+    state: UInt8[np.ndarray, "h w"]
+
+
+def residuals(
+    mesh: Mesh, here: PreparedImage, there: PreparedImage, drawn: MeshPixels, other: MeshPixels, slack: float
+) -> Residuals:
+    """Lay ``there`` over ``here``; ``drawn`` and ``other`` are the mesh as these two see it, all in world frame.
+
+    A pixel is judged where it is in both masks, has texture, and the other camera sees the same place, by depth but for
+    ``slack`` scene units.
+    """
+    warp = _project(here, there, drawn, other, slack)
+    both = here.mask & (warp.state > 0) & (_sample(there.mask.astype(np.float32), warp.places) > 0.99)
+    flow = _flow(np.where(both, here.normalised, 0), np.where(both, _sample(there.normalised, warp.places), 0))
+    kept = cv2.erode(both.astype(np.uint8), _BORDER, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    judged = (np.asarray(kept) > 0) & here.textured & (warp.state == kernels.SEEN)
+    rows, columns = (STRIDE * index for index in np.nonzero(judged[::STRIDE, ::STRIDE]))
+    facing = _facing(mesh, here, rows, columns, drawn.face[rows, columns])
+    depths = np.empty(len(rows))
+    kernels.distances(rows, columns, flow, warp.places, warp.slopes, warp.state, facing, depths)
+    lengths = np.linalg.norm(flow[rows, columns], axis=1).astype(np.float32)
+    return Residuals(pixels=lengths, depths=depths[np.isfinite(depths)])
+
+
+def _project(
+    here: PreparedImage, there: PreparedImage, drawn: MeshPixels, other: MeshPixels, slack: float
+) -> _Warp:
+    shape = drawn.depth.shape
+    places, slopes = np.empty((*shape, 2), np.float32), np.zeros((*shape, 2), np.float32)
+    state = np.zeros(shape, np.uint8)
+    pose, target = (image.camera.world_to_camera.double().numpy() for image in (here, there))
+    between = target @ np.linalg.inv(pose)
+    rotation, shift = np.ascontiguousarray(between[:3, :3]), np.ascontiguousarray(between[:3, 3])
+    lenses = lens_values(here.camera), lens_values(there.camera)
+    farthest = farthest_around(other.depth)
+    kernels.project(drawn.depth, lenses[0], rotation, shift, lenses[1], farthest, slack, places, slopes, state)
+    return _Warp(places=places, slopes=slopes, state=state)
+
+
+def _sample(image: Float32[np.ndarray, "h w"], places: Float32[np.ndarray, "h2 w2 2"]) -> Float32[np.ndarray, "h2 w2"]:
+    """Bicubic; 0 outside the image."""
+    return np.asarray(cv2.remap(image, places, None, cv2.INTER_CUBIC, borderMode=cv2.BORDER_CONSTANT, borderValue=0))
+
+
+def _flow(first: Float32[np.ndarray, "h w"], second: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w 2"]:
+    """Columns and rows from a pixel of the first image to what looks like it in the second; coarse to fine."""
+    images = (np.asarray(_FLOW_CONTRAST * image, np.float32) for image in (first, second))
+    start = np.zeros((*first.shape, 2), np.float32)
+    return np.asarray(
+        cv2.calcOpticalFlowFarneback(*images, start, 0.5, _FLOW_LEVELS, _FLOW_WINDOW, _FLOW_ROUNDS, 5, 1.1, 0)
+    )
+
+
+def _facing(
+    mesh: Mesh,
+    image: PreparedImage,
+    rows: Int64[np.ndarray, " n"],
+    columns: Int64[np.ndarray, " n"],
+    faces: Int64[np.ndarray, " n"],
+) -> Float64[np.ndarray, " n"]:
+    """By how much the surface at some pixels goes away from itself per unit of camera z."""
+    camera = image.camera
+    ways = np.stack(
+        [(columns + 0.5 - camera.cx) / camera.fx, (rows + 0.5 - camera.cy) / camera.fy, np.ones(len(rows))], axis=1
+    )
+    normals = mesh.area_vectors[faces] / mesh.areas[faces, None]
+    return np.abs(np.sum(normals @ camera.world_to_camera.double().numpy()[:3, :3].T * ways, axis=1))

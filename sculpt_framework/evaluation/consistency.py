@@ -20,6 +20,7 @@ from sculpt_framework.export.mesh_pixels import MeshPixels, cosines, draw_mesh, 
 from sculpt_framework.threads import in_threads
 from sculpt_framework.types import View
 
+
 @dataclass(frozen=True, kw_only=True)
 class Consistency:
     """A mesh against photographs. None where there is nothing to tell it from, never NaN."""

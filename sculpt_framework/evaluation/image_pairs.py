@@ -9,10 +9,9 @@ from jaxtyping import Bool, Float32, Float64
 
 from sculpt_framework.types import Camera, View
 
-_ANGLES, _BEST_ANGLE = (8.0, 30.0), 15.0
+_ANGLES, _BEST_ANGLE = (4.0, 25.0), 10.0
 """Degrees between the two ways from the object to the cameras: nearer ones tell little of depth, farther ones show the
 same place in ways that differ too much to be matched."""
-_PARTNERS = 2
 _WINDOW_SIGMA = 4.0
 """Of the Gaussian window in which mean and contrast are taken, in pixels of the prepared image."""
 _TEXTURED = 0.2
@@ -73,23 +72,20 @@ def normalise(
 def choose_pairs(
     cameras: Sequence[Camera], center: Float64[np.ndarray, " 3"], at_most: int | None
 ) -> list[tuple[int, int]]:
-    """Ordered pairs of cameras at a useful angle as seen from ``center``, world frame.
+    """Pairs of a camera and its partner: the one nearest to the best angle as seen from ``center``, world frame.
 
-    Each camera gets the two partners nearest to the best angle, the nearest first for all; of more than ``at_most``
-    pairs some are taken, spread evenly over the cameras.
+    A camera without another at a useful angle is in no pair as the first. Of more than ``at_most`` pairs some are taken,
+    spread evenly over the cameras.
     """
     ways = np.array([camera.position.double().numpy() for camera in cameras]).reshape(-1, 3) - center
     lengths = np.linalg.norm(ways, axis=1, keepdims=True)
     units = ways / np.where(lengths > 0, lengths, 1)
     degrees = np.degrees(np.arccos(np.clip(units @ units.T, -1, 1)))
     useful = (degrees >= _ANGLES[0]) & (degrees <= _ANGLES[1])
-    order = np.argsort(np.where(useful, np.abs(degrees - _BEST_ANGLE), np.inf), axis=1, kind="stable")
-    pairs: list[tuple[int, int]] = []
-    for rank in range(min(_PARTNERS, len(cameras))):
-        chosen = [(i, int(order[i, rank])) for i in range(len(cameras)) if useful[i, order[i, rank]]]
-        room = len(chosen) if at_most is None else min(len(chosen), at_most - len(pairs))
-        pairs += [chosen[number * len(chosen) // room] for number in range(room)]
-    return pairs
+    partner = np.argmin(np.where(useful, np.abs(degrees - _BEST_ANGLE), np.inf), axis=1) if len(cameras) else []
+    pairs = [(i, int(j)) for i, j in enumerate(partner) if useful[i, j]]
+    count = len(pairs) if at_most is None else min(len(pairs), at_most)
+    return [pairs[number * len(pairs) // count] for number in range(count)]
 
 
 def _blur(image: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:

@@ -17,9 +17,10 @@ with kernel_cache("evaluation", Path(__file__).with_name("warp_kernels.py")):
 
 STRIDE = 2
 """Every so many pixels are judged, down and across: the flow is smoother than that."""
-_FLOW_CONTRAST = np.float32(40)
-"""Farneback's flow is made for contrasts of 8-bit images; ours are of size 1."""
-_FLOW_WINDOW, _FLOW_LEVELS, _FLOW_ROUNDS = 21, 5, 3
+_GREY, _GREYS_PER_CONTRAST = 128, 50
+"""How normalised brightness becomes the 8 bits that the flow takes; two and a half contrasts up and down fit."""
+_PATCH, _PATCH_STRIDE, _DESCENTS, _SMOOTHINGS = 16, 8, 10, 5
+"""Of the flow: sides and distance of its patches in pixels, and rounds of its two parts."""
 _BORDER = np.ones((5, 5), np.uint8)
 """Pixels so near the border of what both images show are not judged."""
 
@@ -64,9 +65,7 @@ def residuals(
     return Residuals(pixels=lengths, depths=depths[np.isfinite(depths)])
 
 
-def _project(
-    here: PreparedImage, there: PreparedImage, drawn: MeshPixels, other: MeshPixels, slack: float
-) -> _Warp:
+def _project(here: PreparedImage, there: PreparedImage, drawn: MeshPixels, other: MeshPixels, slack: float) -> _Warp:
     shape = drawn.depth.shape
     places, slopes = np.empty((*shape, 2), np.float32), np.zeros((*shape, 2), np.float32)
     state = np.zeros(shape, np.uint8)
@@ -86,11 +85,14 @@ def _sample(image: Float32[np.ndarray, "h w"], places: Float32[np.ndarray, "h2 w
 
 def _flow(first: Float32[np.ndarray, "h w"], second: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w 2"]:
     """Columns and rows from a pixel of the first image to what looks like it in the second; coarse to fine."""
-    images = (np.asarray(_FLOW_CONTRAST * image, np.float32) for image in (first, second))
-    start = np.zeros((*first.shape, 2), np.float32)
-    return np.asarray(
-        cv2.calcOpticalFlowFarneback(*images, start, 0.5, _FLOW_LEVELS, _FLOW_WINDOW, _FLOW_ROUNDS, 5, 1.1, 0)
-    )
+    finder = cv2.DISOpticalFlow.create()
+    finder.setFinestScale(0)
+    finder.setPatchSize(_PATCH)
+    finder.setPatchStride(_PATCH_STRIDE)
+    finder.setGradientDescentIterations(_DESCENTS)
+    finder.setVariationalRefinementIterations(_SMOOTHINGS)
+    grey = [np.clip(np.rint(_GREY + _GREYS_PER_CONTRAST * image), 0, 255).astype(np.uint8) for image in (first, second)]
+    return np.asarray(finder.calc(grey[0], grey[1], np.zeros((*first.shape, 2), np.float32)))
 
 
 def _facing(

@@ -1,9 +1,9 @@
 """How well a mesh explains posed photographs, without a reference: what it leaves unmatched between neighbouring views.
 
-One image is brought into a neighbour's through the mesh. Were the mesh and the cameras true, the two would lie on each
-other; the displacement that is left, found by dense optical flow, is the ``residual``. Local mean and contrast are taken
-out first, so that light which changes from image to image does not count. Only pixels with texture can be judged; where
-there is none, ``plain_roughness`` says how uneven the mesh is.
+One image is brought into a neighbour's through the mesh. Were the mesh and the cameras true, the two would lie on
+each other; the displacement that is left, found by dense optical flow, is the residual. Local mean and contrast are
+taken out first, so that light which changes from image to image does not count. Only pixels with texture can be judged;
+where there is none, ``plain_roughness`` says how uneven the mesh is.
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,9 +14,9 @@ from jaxtyping import Bool, Float
 
 from sculpt_framework.evaluation.image_pairs import choose_pairs, prepare
 from sculpt_framework.evaluation.mesh import Mesh
-from sculpt_framework.evaluation.residual import STRIDE, residuals
+from sculpt_framework.evaluation.residual import STRIDE, SeenMesh, residuals
 from sculpt_framework.evaluation.roughness import FACING, Unevenness, pixels_of, unevenness
-from sculpt_framework.export.mesh_pixels import MeshPixels, cosines, draw_mesh, visibility_slack
+from sculpt_framework.export.mesh_pixels import cosines, draw_mesh, visibility_slack
 from sculpt_framework.threads import in_threads
 from sculpt_framework.types import View
 
@@ -81,44 +81,29 @@ class PosedImages:
         self._scale = scale
 
     def measure(self, mesh: Mesh) -> Consistency:
-        """``mesh`` is in world frame. One without faces, or without views in pairs, has nothing to judge."""
-        if len(mesh.faces) == 0 or not self.pairs:
+        """``mesh`` is in world frame. One without area, or without views in pairs, has nothing to judge."""
+        if not mesh.areas.sum() > 0 or not self.pairs:
             return replace(_NOTHING, pairs=len(self.pairs))
-        drawn = in_threads(lambda image: draw_mesh(mesh.vertices, mesh.faces, image.camera), self.images)
         slack = visibility_slack(mesh.vertices)
-        found = in_threads(
-            lambda pair: residuals(mesh, *(self.images[each] for each in pair), *(drawn[each] for each in pair), slack),
-            self.pairs,
+        seen = in_threads(
+            lambda image: SeenMesh(image=image, pixels=draw_mesh(mesh.vertices, mesh.faces, image.camera)), self.images
         )
+        found = in_threads(lambda pair: residuals(mesh, seen[pair[0]], seen[pair[1]], slack), self.pairs)
         pixels = np.concatenate([each.pixels for each in found]) / np.float32(self._scale)
         depths = np.concatenate([each.depths for each in found])
         whole = sum(int(self.images[first].mask[::STRIDE, ::STRIDE].sum()) for first, _ in self.pairs)
         uneven = unevenness(mesh)
-        seen, plain = self._places(uneven, drawn, slack)
+        known, plain = _places(uneven, seen, slack)
         return Consistency(
             residual_px=float(np.median(pixels)) if len(pixels) else None,
             residual_p90_px=float(np.percentile(pixels, 90)) if len(pixels) else None,
             residual_depth=float(np.median(depths)) if len(depths) else None,
             judged=len(pixels) / whole if whole else 0.0,
             pairs=len(self.pairs),
-            roughness=uneven.mean(seen),
+            roughness=uneven.mean(known),
             plain_roughness=uneven.mean(plain),
-            plain=float(plain.sum() / seen.sum()) if seen.any() else None,
+            plain=float(plain.sum() / known.sum()) if known.any() else None,
         )
-
-    def _places(
-        self, uneven: Unevenness, drawn: Sequence[MeshPixels], slack: float
-    ) -> tuple[Bool[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
-        """Which of the points some image sees, and which of those are plain in most of the images that see them."""
-        times, textured = np.zeros(len(uneven.points), int), np.zeros(len(uneven.points), int)
-        for image, pixels in zip(self.images, drawn, strict=True):
-            cosine = cosines(uneven.points, uneven.normals, image.camera, pixels.depth, slack)
-            number = np.flatnonzero(cosine > FACING)
-            column, row = pixels_of(uneven.points[number], image.camera)
-            inside = image.mask[row, column]
-            times[number[inside]] += 1
-            textured[number[inside]] += image.textured[row, column][inside]
-        return times > 0, (times > 0) & (2 * textured < times)
 
 
 def consistency(
@@ -131,3 +116,19 @@ def consistency(
     corners = mesh.corners.reshape(-1, 3)
     center = 0.5 * (corners.min(axis=0) + corners.max(axis=0)) if len(corners) else np.zeros(3)
     return PosedImages(views, center, scale=scale, pairs_at_most=pairs_at_most).measure(mesh)
+
+
+def _places(
+    uneven: Unevenness, seen: Sequence[SeenMesh], slack: float
+) -> tuple[Bool[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
+    """Which of the points some image sees, and which of those are plain in most of the images that see them."""
+    times, textured = np.zeros(len(uneven.points), int), np.zeros(len(uneven.points), int)
+    for each in seen:
+        image = each.image
+        cosine = cosines(uneven.points, uneven.normals, image.camera, each.pixels.depth, slack)
+        number = np.flatnonzero(cosine > FACING)
+        column, row = pixels_of(uneven.points[number], image.camera)
+        inside = image.mask[row, column]
+        times[number[inside]] += 1
+        textured[number[inside]] += image.textured[row, column][inside]
+    return times > 0, (times > 0) & (2 * textured < times)

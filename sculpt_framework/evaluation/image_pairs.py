@@ -74,7 +74,7 @@ def choose_pairs(
 ) -> list[tuple[int, int]]:
     """Pairs of a camera and its partner: the one nearest to the best angle as seen from ``center``, world frame.
 
-    A camera without another at a useful angle is in no pair as the first. Of more than ``at_most`` pairs some are taken,
+    A camera without another at a useful angle comes first in no pair. Of more than ``at_most`` pairs some are taken,
     spread evenly over the cameras.
     """
     ways = np.array([camera.position.double().numpy() for camera in cameras]).reshape(-1, 3) - center

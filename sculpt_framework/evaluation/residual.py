@@ -5,7 +5,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from jaxtyping import Float32, Float64, Int64, UInt8
+from jaxtyping import Float32, Float64, Int32, Int64, UInt8
 
 from sculpt_framework.cpu_kernels import kernel_cache
 from sculpt_framework.evaluation.image_pairs import PreparedImage
@@ -19,7 +19,7 @@ STRIDE = 2
 """Every so many pixels are judged, down and across: the flow is smoother than that."""
 _GREY, _GREYS_PER_CONTRAST = 128, 50
 """How normalised brightness becomes the 8 bits that the flow takes; two and a half contrasts up and down fit."""
-_PATCH, _PATCH_STRIDE, _DESCENTS, _SMOOTHINGS = 16, 8, 10, 5
+_PATCH, _PATCH_STRIDE, _DESCENTS, _SMOOTHINGS = 16, 8, 8, 5
 """Of the flow: sides and distance of its patches in pixels, and rounds of its two parts."""
 _BORDER = np.ones((5, 5), np.uint8)
 """Pixels so near the border of what both images show are not judged."""
@@ -44,43 +44,51 @@ class _Warp:
     state: UInt8[np.ndarray, "h w"]
 
 
-def residuals(
-    mesh: Mesh, here: PreparedImage, there: PreparedImage, drawn: MeshPixels, other: MeshPixels, slack: float
-) -> Residuals:
-    """Lay ``there`` over ``here``; ``drawn`` and ``other`` are the mesh as these two see it, all in world frame.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SeenMesh:
+    """A photograph, and the mesh as its camera sees it."""
 
-    A pixel is judged where it is in both masks, has texture, and the other camera sees the same place, by depth but for
-    ``slack`` scene units.
+    image: PreparedImage
+    pixels: MeshPixels
+
+
+def residuals(mesh: Mesh, first: SeenMesh, second: SeenMesh, slack: float) -> Residuals:
+    """Lay the second image over the first through the mesh, all in world frame.
+
+    A pixel is judged where it is in both masks, has texture, and the second camera sees the same place: by depth, but
+    for ``slack`` scene units.
     """
-    warp = _project(here, there, drawn, other, slack)
+    here, there = first.image, second.image
+    warp = _project(first, second, slack)
     both = here.mask & (warp.state > 0) & (_sample(there.mask.astype(np.float32), warp.places) > 0.99)
     flow = _flow(np.where(both, here.normalised, 0), np.where(both, _sample(there.normalised, warp.places), 0))
     kept = cv2.erode(both.astype(np.uint8), _BORDER, borderType=cv2.BORDER_CONSTANT, borderValue=0)
     judged = (np.asarray(kept) > 0) & here.textured & (warp.state == kernels.SEEN)
     rows, columns = (STRIDE * index for index in np.nonzero(judged[::STRIDE, ::STRIDE]))
-    facing = _facing(mesh, here, rows, columns, drawn.face[rows, columns])
+    facing = _facing(mesh, here, rows, columns, first.pixels.face[rows, columns])
     depths = np.empty(len(rows))
     kernels.distances(rows, columns, flow, warp.places, warp.slopes, warp.state, facing, depths)
     lengths = np.linalg.norm(flow[rows, columns], axis=1).astype(np.float32)
     return Residuals(pixels=lengths, depths=depths[np.isfinite(depths)])
 
 
-def _project(here: PreparedImage, there: PreparedImage, drawn: MeshPixels, other: MeshPixels, slack: float) -> _Warp:
-    shape = drawn.depth.shape
-    places, slopes = np.empty((*shape, 2), np.float32), np.zeros((*shape, 2), np.float32)
-    state = np.zeros(shape, np.uint8)
-    pose, target = (image.camera.world_to_camera.double().numpy() for image in (here, there))
+def _project(first: SeenMesh, second: SeenMesh, slack: float) -> _Warp:
+    depth, cameras = first.pixels.depth, [each.image.camera for each in (first, second)]
+    places, slopes = np.empty((*depth.shape, 2), np.float32), np.zeros((*depth.shape, 2), np.float32)
+    state = np.zeros(depth.shape, np.uint8)
+    pose, target = (camera.world_to_camera.double().numpy() for camera in cameras)
     between = target @ np.linalg.inv(pose)
     rotation, shift = np.ascontiguousarray(between[:3, :3]), np.ascontiguousarray(between[:3, 3])
-    lenses = lens_values(here.camera), lens_values(there.camera)
-    farthest = farthest_around(other.depth)
-    kernels.project(drawn.depth, lenses[0], rotation, shift, lenses[1], farthest, slack, places, slopes, state)
+    lens, other = (lens_values(camera) for camera in cameras)
+    farthest = farthest_around(second.pixels.depth)
+    kernels.project(depth, lens, rotation, shift, other, farthest, slack, places, slopes, state)
     return _Warp(places=places, slopes=slopes, state=state)
 
 
 def _sample(image: Float32[np.ndarray, "h w"], places: Float32[np.ndarray, "h2 w2 2"]) -> Float32[np.ndarray, "h2 w2"]:
     """Bicubic; 0 outside the image."""
-    return np.asarray(cv2.remap(image, places, None, cv2.INTER_CUBIC, borderMode=cv2.BORDER_CONSTANT, borderValue=0))
+    columns, rows = cv2.split(places)
+    return np.asarray(cv2.remap(image, columns, rows, cv2.INTER_CUBIC, borderMode=cv2.BORDER_CONSTANT, borderValue=0))
 
 
 def _flow(first: Float32[np.ndarray, "h w"], second: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w 2"]:
@@ -100,7 +108,7 @@ def _facing(
     image: PreparedImage,
     rows: Int64[np.ndarray, " n"],
     columns: Int64[np.ndarray, " n"],
-    faces: Int64[np.ndarray, " n"],
+    faces: Int32[np.ndarray, " n"],
 ) -> Float64[np.ndarray, " n"]:
     """By how much the surface at some pixels goes away from itself per unit of camera z."""
     camera = image.camera

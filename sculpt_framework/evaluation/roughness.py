@@ -16,8 +16,8 @@ FACING = 0.2
 """Cosine of the angle of view from which on a camera says what a place looks like."""
 _AROUND = 0.03
 """Share of the surface's radius over which normals are averaged."""
-_SAMPLES, _EVERY = 150_000, 10
-"""Points whose normals are averaged, and which of them are looked at: some forty points lie around each."""
+_SAMPLES, _EVERY = 100_000, 10
+"""Points whose normals are averaged, and which of them are looked at: some twenty points lie around each on a ball."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

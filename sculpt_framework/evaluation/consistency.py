@@ -66,19 +66,18 @@ class PosedImages:
         views: Sequence[View],
         center: Float[np.ndarray, " 3"],
         *,
-        scale: float = 1.0,
         pairs_at_most: int | None = None,
+        pixels_at_most: int | None = None,
     ):
         """``center`` is about the middle of the object, world frame: angles between cameras are seen from there.
 
-        Images are compared at ``scale`` of their side, at most 1. Meshes can be compared with each other where all this
-        is the same.
+        Of more than ``pairs_at_most`` pairs some are compared, images of more than ``pixels_at_most`` pixels made
+        smaller. What two meshes score can be compared where all this is the same.
         """
         pairs = choose_pairs([view.camera for view in views], np.asarray(center, np.float64), pairs_at_most)
         used = sorted({number for pair in pairs for number in pair})
         self.pairs = [(used.index(i), used.index(j)) for i, j in pairs]
-        self.images = in_threads(lambda number: prepare(views[number], scale), used)
-        self._scale = scale
+        self.images = in_threads(lambda number: prepare(views[number], pixels_at_most), used)
 
     def measure(self, mesh: Mesh) -> Consistency:
         """``mesh`` is in world frame. One without area, or without views in pairs, has nothing to judge."""
@@ -89,7 +88,7 @@ class PosedImages:
             lambda image: SeenMesh(image=image, pixels=draw_mesh(mesh.vertices, mesh.faces, image.camera)), self.images
         )
         found = in_threads(lambda pair: residuals(mesh, seen[pair[0]], seen[pair[1]], slack), self.pairs)
-        pixels = np.concatenate([each.pixels for each in found]) / np.float32(self._scale)
+        pixels = np.concatenate([each.pixels for each in found])
         depths = np.concatenate([each.depths for each in found])
         whole = sum(int(self.images[first].mask[::STRIDE, ::STRIDE].sum()) for first, _ in self.pairs)
         uneven = unevenness(mesh)
@@ -107,7 +106,7 @@ class PosedImages:
 
 
 def consistency(
-    mesh: Mesh, views: Sequence[View], *, scale: float = 1.0, pairs_at_most: int | None = None
+    mesh: Mesh, views: Sequence[View], *, pairs_at_most: int | None = None, pixels_at_most: int | None = None
 ) -> Consistency:
     """Measure one mesh, world frame, against posed views; ``PosedImages`` does so for many meshes in less time.
 
@@ -115,7 +114,7 @@ def consistency(
     """
     corners = mesh.corners.reshape(-1, 3)
     center = 0.5 * (corners.min(axis=0) + corners.max(axis=0)) if len(corners) else np.zeros(3)
-    return PosedImages(views, center, scale=scale, pairs_at_most=pairs_at_most).measure(mesh)
+    return PosedImages(views, center, pairs_at_most=pairs_at_most, pixels_at_most=pixels_at_most).measure(mesh)
 
 
 def _places(

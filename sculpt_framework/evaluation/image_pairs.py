@@ -30,14 +30,18 @@ class PreparedImage:
     """In world frame, for the pixels of these arrays."""
     normalised: Float32[np.ndarray, "h w"]
     """Brightness less its local mean, over local contrast; 0 outside the mask. Gain and offset are gone."""
+    scale: float
+    """Side of a pixel of the view in pixels of these arrays, at most 1."""
     mask: Bool[np.ndarray, "h w"]
     """Pixels of the object; all where the view has no alpha."""
     textured: Bool[np.ndarray, "h w"]
     """Pixels of the mask with enough contrast around them to tell where they are."""
 
 
-def prepare(view: View, scale: float) -> PreparedImage:
-    """One view at ``scale`` of its side, at most 1."""
+def prepare(view: View, pixels_at_most: int | None) -> PreparedImage:
+    """One view, made smaller where it has more pixels than ``pixels_at_most``."""
+    pixels = view.camera.width * view.camera.height
+    scale = 1.0 if pixels_at_most is None else min(1.0, (pixels_at_most / pixels) ** 0.5)
     camera, grey = view.camera, np.ascontiguousarray(view.rgb.numpy().mean(axis=2), np.float32)
     alpha = np.ones(grey.shape, np.float32) if view.alpha is None else view.alpha.numpy().astype(np.float32)
     if scale < 1:
@@ -48,7 +52,7 @@ def prepare(view: View, scale: float) -> PreparedImage:
     grey, mask = grey[top:bottom, left:right], alpha[top:bottom, left:right] > 0.5
     normalised, textured = normalise(grey, mask)
     camera = camera.crop(left, top, right - left, bottom - top)
-    return PreparedImage(camera=camera, normalised=normalised, mask=mask, textured=textured)
+    return PreparedImage(camera=camera, normalised=normalised, scale=scale, mask=mask, textured=textured)
 
 
 def normalise(

@@ -30,7 +30,7 @@ class Residuals:
     """Of one pair of images."""
 
     pixels: Float32[np.ndarray, " n"]
-    """Length of the displacement left, in pixels of the first image, for every pixel that is judged."""
+    """Length of the displacement left, in pixels of the first view as it was given, for every pixel that is judged."""
     depths: Float64[np.ndarray, " m"]
     """How far the surface is off across itself, scene units, where the displacement leads to a place on the surface."""
 
@@ -69,7 +69,7 @@ def residuals(mesh: Mesh, first: SeenMesh, second: SeenMesh, slack: float) -> Re
     depths = np.empty(len(rows))
     kernels.distances(rows, columns, flow, warp.places, warp.slopes, warp.state, facing, depths)
     lengths = np.linalg.norm(flow[rows, columns], axis=1).astype(np.float32)
-    return Residuals(pixels=lengths, depths=depths[np.isfinite(depths)])
+    return Residuals(pixels=lengths / np.float32(here.scale), depths=depths[np.isfinite(depths)])
 
 
 def _project(first: SeenMesh, second: SeenMesh, slack: float) -> _Warp:

@@ -70,7 +70,7 @@ def test_gain_and_offset_of_an_image_change_nothing(views: list[View], true: Con
 
 def test_half_the_resolution_says_the_same_in_pixels_of_the_views(views: list[View]):
     mesh = ball(radius=1.03 * RADIUS)
-    whole, half = (PosedImages(views, ORIGIN, scale=scale).measure(mesh) for scale in (1.0, 0.5))
+    whole, half = (PosedImages(views, ORIGIN, pixels_at_most=most).measure(mesh) for most in (None, 240**2))
     assert known(half.residual_px) == pytest.approx(known(whole.residual_px), rel=0.1)
     assert known(half.residual_depth) == pytest.approx(known(whole.residual_depth), rel=0.1)
 

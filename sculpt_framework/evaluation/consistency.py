@@ -75,21 +75,23 @@ class PosedImages:
         smaller. What two meshes score can be compared where all this is the same.
         """
         pairs = choose_pairs([view.camera for view in views], np.asarray(center, np.float64), pairs_at_most)
-        used = sorted({number for pair in pairs for number in pair})
+        # Without pairs the images still say what of a mesh is seen.
+        alone = range(0, len(views), max(1, len(views) // (pairs_at_most or len(views) or 1)))
+        used = sorted({number for pair in pairs for number in pair} or alone)
         self.pairs = [(used.index(i), used.index(j)) for i, j in pairs]
         self.images = in_threads(lambda number: prepare(views[number], pixels_at_most), used)
 
     def measure(self, mesh: Mesh) -> Consistency:
-        """``mesh`` is in world frame. One without area, or without views in pairs, has nothing to judge."""
-        if not mesh.areas.sum() > 0 or not self.pairs:
+        """``mesh`` is in world frame. Without area there is nothing to measure, without pairs no residual."""
+        if not mesh.areas.sum() > 0 or not self.images:
             return replace(_NOTHING, pairs=len(self.pairs))
         slack = visibility_slack(mesh.vertices)
         seen = in_threads(
             lambda image: SeenMesh(image=image, pixels=draw_mesh(mesh.vertices, mesh.faces, image.camera)), self.images
         )
         found = in_threads(lambda pair: residuals(mesh, seen[pair[0]], seen[pair[1]], slack), self.pairs)
-        pixels = np.concatenate([each.pixels for each in found])
-        depths = np.concatenate([each.depths for each in found])
+        pixels = np.concatenate([np.empty(0), *(each.pixels for each in found)])
+        depths = np.concatenate([np.empty(0), *(each.depths for each in found)])
         whole = sum(int(self.images[first].mask[::STRIDE, ::STRIDE].sum()) for first, _ in self.pairs)
         uneven = unevenness(mesh)
         known, plain = _places(uneven, seen, slack)

@@ -100,7 +100,11 @@ def _flow(first: Float32[np.ndarray, "h w"], second: Float32[np.ndarray, "h w"])
     finder.setGradientDescentIterations(_DESCENTS)
     finder.setVariationalRefinementIterations(_SMOOTHINGS)
     grey = [np.clip(np.rint(_GREY + _GREYS_PER_CONTRAST * image), 0, 255).astype(np.uint8) for image in (first, second)]
-    return np.asarray(finder.calc(grey[0], grey[1], np.zeros((*first.shape, 2), np.float32)))
+    # It takes no image smaller than its patches.
+    height, width = first.shape
+    beside = ((0, max(0, 3 * _PATCH - height)), (0, max(0, 3 * _PATCH - width)))
+    wide = [np.pad(each, beside, constant_values=_GREY) for each in grey]
+    return np.asarray(finder.calc(wide[0], wide[1], np.zeros((*wide[0].shape, 2), np.float32)))[:height, :width]
 
 
 def _facing(
@@ -115,5 +119,5 @@ def _facing(
     ways = np.stack(
         [(columns + 0.5 - camera.cx) / camera.fx, (rows + 0.5 - camera.cy) / camera.fy, np.ones(len(rows))], axis=1
     )
-    normals = mesh.area_vectors[faces] / mesh.areas[faces, None]
+    normals = mesh.area_vectors[faces] / np.maximum(mesh.areas[faces, None], np.finfo(np.float64).tiny)
     return np.abs(np.sum(normals @ camera.world_to_camera.double().numpy()[:3, :3].T * ways, axis=1))

@@ -84,4 +84,5 @@ def pixels_of(
     local = points @ pose[:3, :3].T + pose[:3, 3]
     columns = camera.fx * local[:, 0] / local[:, 2] + camera.cx
     rows = camera.fy * local[:, 1] / local[:, 2] + camera.cy
-    return columns.astype(np.int64), rows.astype(np.int64)
+    # What the camera's kernel found to be inside may be on the border by another rounding.
+    return np.clip(columns, 0, camera.width - 1).astype(np.int64), np.clip(rows, 0, camera.height - 1).astype(np.int64)

@@ -106,12 +106,20 @@ def test_no_texture_tells_nothing():
     assert found.plain_roughness == found.roughness
 
 
-def test_one_view_tells_nothing(views: list[View]):
+def test_one_view_tells_nothing_but_roughness(views: list[View]):
     for few in ([], views[:1], [views[0], views[0]]):
         found = consistency(ball(), few)
         assert found.pairs == 0
         assert found.judged == 0
-        assert found.residual_px is found.residual_depth is found.roughness is None
+        assert found.residual_px is found.residual_p90_px is found.residual_depth is None
+        assert (found.roughness is None) == (not few)
+
+
+@pytest.mark.parametrize("side", [1, 5, 12, 17, 33])
+def test_tiny_images_are_no_trouble(side: int):
+    found = consistency(ball(2), [view_of_ball(camera) for camera in ring(2, 10, side)])
+    assert found.pairs == 2
+    assert found.residual_px is None or np.isfinite(found.residual_px)
 
 
 def test_a_mesh_that_no_camera_sees_or_without_faces_tells_nothing(images: PosedImages):

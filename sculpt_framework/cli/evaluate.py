@@ -1,10 +1,10 @@
-"""``sculpt-eval``: measure a finished run on its test views, or any mesh against a reference."""
+"""``sculpt-eval``: measure a finished run on its test views, or any mesh against a reference or photographs."""
 
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import tyro
 
@@ -13,12 +13,18 @@ from sculpt_framework.cli.options import Flag
 from sculpt_framework.errors import ConfigError
 
 if TYPE_CHECKING:
+    from sculpt_framework.config import DatasetConfig
     from sculpt_framework.evaluation.geometry import MeasuredMesh
+    from sculpt_framework.types import Scene
+
+_PIXELS_AT_MOST = 1_000_000
+"""Of a photograph that a mesh is held against: finer ones take their time, and surfaces are not that exact."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluateRequest:
-    """Measure a finished run (RUN_DIR), or a mesh against a reference (--mesh A --reference B)."""
+    """Measure a finished run (RUN_DIR), or a mesh against a reference (--mesh A --reference B) or photographs (--mesh A
+    --data DIR --consistency)."""
 
     run_dir: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="RUN_DIR", help_behavior_hint="")] = (
         None
@@ -28,12 +34,16 @@ class EvaluateRequest:
     """Mesh to measure: PLY, OBJ, GLB, STL or OFF."""
     reference: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
     """Mesh to compare with, in the same frame and units. A run brings its own, if it has one."""
+    data: Annotated[str | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
+    """With --mesh and --consistency: the photographs, in any layout that sculpt-train recognises. A run has its own."""
     samples: Annotated[int, tyro.conf.arg(metavar="N")] = 200_000
     """Area-uniform samples on each of the two surfaces."""
     self_intersections: Flag = False
     """Also count pairs of faces that cross each other."""
     visible_only: Flag = False
     """Of a run: also measure over that part of the reference alone which some train view sees."""
+    consistency: Flag = False
+    """Also measure what the mesh leaves unmatched between neighbouring photographs, and its roughness."""
     json: Flag = False
     """Print JSON."""
 
@@ -50,8 +60,14 @@ def evaluate(words: Sequence[str]) -> None:
         raise ConfigError(f"--samples is {request.samples}; expected 1 or more.")
     if request.visible_only and request.run_dir is None:
         raise ConfigError("--visible-only needs the cameras of a run: sculpt-eval RUN_DIR --visible-only.")
+    if (request.data is not None) != (request.consistency and request.run_dir is None):
+        raise ConfigError(
+            "--consistency needs a run, sculpt-eval RUN_DIR, or --mesh A with --data DIR; --data is for that."
+        )
     if request.mesh is not None and request.run_dir is None:
         report = _of_mesh(request.mesh, request.reference, _prepared(request.reference, request), request)
+        if request.data is not None:
+            report["consistency"] = _consistency(request.mesh, _scene(request.data))
     elif request.run_dir is not None and request.mesh is None:
         report = _of_run(request.run_dir, request)
     else:
@@ -108,7 +124,23 @@ def _of_run(run_dir: Path, request: EvaluateRequest) -> Mapping[str, Any]:
 
         seen = seen_by_any(prepared, [view.camera for view in finished.scene.train])
         report["visible"] = asdict(visible_distances(load_mesh(run_dir / "mesh.ply"), prepared, seen))
+    if request.consistency:
+        report["consistency"] = _consistency(run_dir / "mesh.ply", finished.scene)
     return {**report, "test_views": len(finished.scene.test), "images": finished.test_measures()}
+
+
+def _scene(data: str) -> "Scene":
+    from sculpt_framework import registry
+
+    return cast("DatasetConfig", registry.default("dataset", "auto")).build(data).load()
+
+
+def _consistency(mesh: Path, scene: "Scene") -> Mapping[str, float | None]:
+    from sculpt_framework.evaluation.consistency import PosedImages
+    from sculpt_framework.evaluation.mesh import load_mesh
+
+    images = PosedImages(scene.train, scene.box.center.double().numpy(), pixels_at_most=_PIXELS_AT_MOST)
+    return images.measure(load_mesh(mesh)).values()
 
 
 def _lines(report: Mapping[str, Any]) -> list[str]:
@@ -119,7 +151,12 @@ def _lines(report: Mapping[str, Any]) -> list[str]:
     if (images := report.get("images")) is not None:
         views = report["test_views"]
         lines.append(f"{'test views':<34}{views if views else 'none: image measures are not known'}")
-        labels = {"psnr": ("PSNR", "{:.2f} dB"), "ssim": ("SSIM", "{:.4f}"), "iou": ("mask IoU", "{:.4f}")}
+        labels = {
+            "psnr": ("PSNR", "{:.2f} dB"),
+            "psnr_fitted": ("  light fitted", "{:.2f} dB"),
+            "ssim": ("SSIM", "{:.4f}"),
+            "iou": ("mask IoU", "{:.4f}"),
+        }
         lines += [
             f"{label:<34}{style.format(images[key])}"
             for key, (label, style) in labels.items()

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -12,8 +13,9 @@ from sculpt_framework.engine.gaussian_scene import GaussianScene
 from sculpt_framework.engine.images import TrainingImage, prepare_image
 from sculpt_framework.engine.initial_fit import start_surface
 from sculpt_framework.engine.reconstruction import object_gaussians, world_mesh
+from sculpt_framework.evaluation.consistency import PosedImages
 from sculpt_framework.evaluation.geometry import MeasuredMesh
-from sculpt_framework.evaluation.images import mask_iou, psnr, ssim
+from sculpt_framework.evaluation.images import fitted_psnr, mask_iou, psnr, ssim
 from sculpt_framework.evaluation.mesh import Mesh, load_mesh
 from sculpt_framework.evaluation.mesh_report import mesh_measures, result_measures
 from sculpt_framework.extractors import EmptySurfaceError, Extractor, SdfFunction
@@ -26,6 +28,9 @@ _VIEWS_AT_MOST, _PIXELS_AT_MOST = 4, 4_000_000
 """More held-out views, or more pixels in them, add evaluation time, not knowledge."""
 _JUDGES = 2
 """Views for what is looked at often."""
+_CURVE_PAIRS, _CURVE_PIXELS = 12, 150_000
+"""Neighbouring views that a surface is judged by while training, and pixels in each."""
+_RESULT_PAIRS, _RESULT_PIXELS = 24, 500_000
 
 
 class Yardstick:
@@ -40,7 +45,7 @@ class Yardstick:
         self.images = [prepare_image(view, scene.box, 1.0, device, crop=False) for view in views]
         self.reference = None if reference is None else MeasuredMesh(load_mesh(reference), _CURVE_SAMPLES)
         self._rasterizer = rasterizer
-        self._box = scene.box
+        self._box, self._views = scene.box, scene.train
         self._low_pass_px2 = config.trainer.low_pass_px2
 
     def measure(self, scene: GaussianScene, surface: Surface) -> dict[str, Any]:
@@ -48,7 +53,9 @@ class Yardstick:
 
         Raises FloatingPointError where its rendering is not finite.
         """
-        return self._splats(scene, surface) | mesh_measures(self._mesh(surface), self.reference, _CURVE_SAMPLES)
+        mesh = self._mesh(surface)
+        row = self._splats(scene, surface) | mesh_measures(mesh, self.reference, _CURVE_SAMPLES)
+        return row if self.reference is not None else {**row, **self._photographs.measure(mesh).values()}
 
     def measure_start(self, target: SdfFunction, extractor: Extractor, device: torch.device) -> dict[str, Any] | None:
         """A row of the curve about something to start from, which has no Gaussians yet.
@@ -66,6 +73,7 @@ class Yardstick:
             "grid": max(extractor.grid.shape),
             "rss_mb": resident_megabytes(),
             "psnr": None,
+            "psnr_fitted": None,
             "ssim": None,
             "iou": None,
         }
@@ -73,8 +81,11 @@ class Yardstick:
 
     def measure_result(self, scene: GaussianScene, surface: Surface) -> dict[str, Any]:
         """The same of what the run leaves, with all that is measured of a result and as many samples as it deserves."""
-        reference = None if self.reference is None else self.reference.with_samples(_RESULT_SAMPLES)
-        return self._splats(scene, surface) | result_measures(self._mesh(surface), reference)
+        mesh, splats = self._mesh(surface), self._splats(scene, surface)
+        if self.reference is not None:
+            return splats | result_measures(mesh, self.reference.with_samples(_RESULT_SAMPLES))
+        photographs = PosedImages(self._views, self._center, pairs_at_most=_RESULT_PAIRS, pixels_at_most=_RESULT_PIXELS)
+        return {**splats, **result_measures(mesh, None), **photographs.measure(mesh).values()}
 
     @torch.no_grad()
     def quick_psnr(self, gaussians: Gaussians) -> float:
@@ -87,6 +98,15 @@ class Yardstick:
             )
             total += psnr(rendering.rgb, image.over(white).rgb)
         return total / len(judges)
+
+    @cached_property
+    def _photographs(self) -> PosedImages:
+        """What a surface is held against where there is no reference; made when it is first asked for."""
+        return PosedImages(self._views, self._center, pairs_at_most=_CURVE_PAIRS, pixels_at_most=_CURVE_PIXELS)
+
+    @property
+    def _center(self) -> np.ndarray:
+        return self._box.center.double().cpu().numpy()
 
     def _mesh(self, surface: Surface) -> Mesh:
         return world_mesh(surface, self._box)[0]
@@ -110,14 +130,18 @@ def some_views(views: Sequence[View], at_most: int, pixels: int) -> Sequence[Vie
 def image_measures(
     rasterizer: Rasterizer, gaussians: Gaussians, images: Sequence[TrainingImage], low_pass_px2: float
 ) -> dict[str, float | None]:
-    """Means over the images of psnr (dB), ssim and iou (of masks), on white; None where there is nothing to tell."""
-    scores: dict[str, list[float]] = {"psnr": [], "ssim": [], "iou": []}
+    """Means over the images of psnr and psnr_fitted (dB), ssim and iou (of masks), on white.
+
+    None where there is nothing to tell.
+    """
+    scores: dict[str, list[float]] = {"psnr": [], "psnr_fitted": [], "ssim": [], "iou": []}
     for image in images:
         white = torch.ones(3).to(image.premultiplied)
         with torch.no_grad():
             rendering = rasterizer.render(gaussians, image.camera, white, low_pass_px2=low_pass_px2)
         target = image.over(white)
         scores["psnr"].append(psnr(rendering.rgb, target.rgb))
+        scores["psnr_fitted"].append(fitted_psnr(rendering.rgb, target.rgb, target.alpha))
         scores["ssim"].append(ssim(rendering.rgb, target.rgb))
         if target.alpha is not None:
             scores["iou"].append(mask_iou(rendering.alpha, target.alpha))

@@ -25,8 +25,18 @@ CURVE_COLUMNS: Mapping[str, str] = {
     "fscore": "F-score at 0.2 % of the diagonal of the reference's bounding box",
     "normal_consistency": "mean |cosine| between normals of result and reference",
     "under10_pct": "percent of triangles with an angle below 10 degrees",
+    "psnr_fitted": "held-out views: PSNR after one gain and offset per image and channel, dB",
+    "residual_px": "median displacement left between neighbouring views, pixels of the views",
+    "residual_p90_px": "its 90th percentile, pixels of the views",
+    "residual_depth": "median distance of the surface from where the images say it is, scene units",
+    "judged": "share of the masks' pixels the residual is of",
+    "roughness": "mean angle between normals and their mean around, over what is seen, degrees",
+    "plain_roughness": "the same where the images have no texture, degrees",
 }
 """Columns in order, with what they hold."""
+
+_LATER = ("psnr_fitted", "residual_px", "residual_p90_px", "residual_depth", "judged", "roughness", "plain_roughness")
+"""Columns that curves of older versions do not have: nothing is known in them."""
 
 CurveRow = Mapping[str, float | None]
 
@@ -41,7 +51,8 @@ def row_line(row: Mapping[str, object]) -> str:
 
 
 def read_curve(path: Path) -> list[CurveRow]:
-    """The rows of a curve.csv, without a last line that was cut. Columns beyond the known ones are ignored.
+    """The rows of a curve.csv, without a last line that was cut. Columns beyond the known ones are ignored; those
+    that an older version did not write yet hold None.
 
     Raises DataError where there is no such file or it is something else.
     """
@@ -56,11 +67,11 @@ def parse_curve(text: str, path: Path) -> list[CurveRow]:
     """As ``read_curve``; ``path`` is for the error's text."""
     whole = text[: text.rfind("\n") + 1]
     reader = csv.DictReader(io.StringIO(whole))
-    missing = [column for column in CURVE_COLUMNS if column not in (reader.fieldnames or ())]
+    missing = [column for column in CURVE_COLUMNS if column not in (*(reader.fieldnames or ()), *_LATER)]
     if missing:
         raise DataError(f"{path} is not a curve of a run: it has no column {', '.join(missing)}")
     try:
-        return [{column: float(row[column]) if row[column] else None for column in CURVE_COLUMNS} for row in reader]
+        return [{column: float(row[column]) if row.get(column) else None for column in CURVE_COLUMNS} for row in reader]
     except ValueError as error:
         raise DataError(f"{path}, line {reader.line_num}: {error}") from error
 

@@ -24,6 +24,23 @@ def psnr(image: Image, target: Image) -> float:
     return math.inf if mean_squared == 0 else -10 * math.log10(mean_squared)
 
 
+def fitted_psnr(image: Image, target: Image, mask: Mask | None) -> float:
+    """``psnr`` after the light of the image is fitted: one gain and offset per channel, by least squares over the mask.
+
+    What a photograph's exposure and white balance change is not counted. The fit is over pixels of the mask above one
+    half, all of them without a mask, and changes those alone; a mask without pixels changes nothing.
+    """
+    fitted, wanted = _clipped(image).copy(), _clipped(target)
+    chosen = np.ones(fitted.shape[:2], bool) if mask is None else np.asarray(torch.as_tensor(mask).cpu() > 0.5)
+    if chosen.any():
+        for channel in range(3):
+            values, goal = fitted[chosen, channel].astype(np.float64), wanted[chosen, channel].astype(np.float64)
+            variance = values.var()
+            gain = ((values - values.mean()) * (goal - goal.mean())).mean() / variance if variance > 0 else 0.0
+            fitted[chosen, channel] = goal.mean() + gain * (values - values.mean())
+    return psnr(fitted, wanted)
+
+
 def ssim(image: Image, target: Image) -> float:
     """Structural similarity in [-1, 1], mean over pixels and channels.
 

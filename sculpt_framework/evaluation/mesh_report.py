@@ -31,6 +31,8 @@ RESULT_MEASURES: Mapping[str, str] = {
     "point_to_point_floor": "what point_to_point is between two samplings of one surface, scene units",
     "reference_diagonal": "of the reference's bounding box, scene units",
     "samples": "on each surface",
+    "pairs": "neighbouring views that were laid over each other",
+    "plain": "share of the surface seen where the images have no texture",
     **{f"fscore_relative {t:g}": f"F-score at {100 * t:g} % of the reference's diagonal" for t in RELATIVE_THRESHOLDS},
     **{f"fscore_absolute {t:g}": f"F-score at {t:g} scene units" for t in ABSOLUTE_THRESHOLDS},
 }
@@ -114,6 +116,19 @@ def mesh_report_lines(report: Mapping[str, Any]) -> list[str]:
         for label, key in (("Chamfer of that part", "point_to_surface"), ("  accuracy", "accuracy")):
             lines.append(f"{label:<34}{visible[key]:.5g}")
         lines.append(f"{'  completeness':<34}{visible['completeness']:.5g}")
+    if (found := report.get("consistency")) is not None:
+        rows = {
+            "residual between views": ("residual_px", "{:.3f} px"),
+            "  90th percentile": ("residual_p90_px", "{:.3f} px"),
+            "  as depth": ("residual_depth", "{:.5g}"),
+            "  judged": ("judged", "{:.1%} of the masks"),
+            "  pairs of views": ("pairs", "{}"),
+            "roughness of what is seen": ("roughness", "{:.2f} degrees"),
+            "  of plain places": ("plain_roughness", "{:.2f} degrees"),
+            "  plain": ("plain", "{:.1%} of what is seen"),
+        }
+        for label, (key, style) in rows.items():
+            lines.append(f"{label:<34}{'not known' if found[key] is None else style.format(found[key])}")
     if (triangles := report["triangles"]) is not None:
         lines.append(f"{'triangles under 10 degrees':<34}{triangles['under10_pct']:.3f} %")
         lines.append(f"{'mean smallest angle':<34}{triangles['mean_minimum_angle']:.1f} degrees")

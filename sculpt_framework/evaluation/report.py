@@ -65,6 +65,7 @@ def _summary(metrics: Facts) -> str:
     tiles = [("status", metrics.get("status"))]
     styles = {
         "chamfer_ps": ("Chamfer, point to surface", "{:.3g}"),
+        "residual_px": ("residual between neighbouring views", "{:.2f} px"),
         "psnr": ("PSNR, held-out views", "{:.2f} dB"),
         "iou": ("mask IoU", "{:.4f}"),
         "faces": ("faces", "{:.0f}"),
@@ -73,6 +74,8 @@ def _summary(metrics: Facts) -> str:
     }
     for key, (label, style) in styles.items():
         value = final.get(key)
+        if key == "residual_px" and value is None:
+            continue  # With a reference a run is not held against its photographs.
         tiles.append((label, "not known" if value is None else style.format(value)))
     if certificate:
         tiles.append(("watertight", fact(certificate["watertight"])))
@@ -89,8 +92,9 @@ def _unknown(metrics: Facts, started: Facts) -> str:
         return ""
     return (
         '<p class="unknown">There is no reference mesh: how far the surface is from the true one is not known, nor are'
-        " F-score, normal consistency and the colours of mesh error. PSNR, SSIM and mask IoU are of held-out views;"
-        " they say nothing about what no view shows.</p>"
+        " F-score, normal consistency and the colours of mesh error. The residual says how well the mesh brings"
+        " neighbouring photographs onto each other, where they have texture. PSNR, SSIM and mask IoU are of held-out"
+        " views; they say nothing about what no view shows.</p>"
     )
 
 
@@ -167,7 +171,13 @@ def _curves(curve: Sequence[CurveRow]) -> str:
     """A chart per quantity that is known; scores between 0 and 1 share one."""
     charts = [
         ("Chamfer distance to the reference", {"chamfer_ps": "Chamfer"}, Axis(label="scene units (log)", log=True)),
-        ("PSNR on held-out views", {"psnr": "PSNR"}, Axis(label="dB")),
+        (
+            "Left between neighbouring views",
+            {"residual_px": "median", "residual_p90_px": "90th percentile"},
+            Axis(label="pixels (log)", log=True),
+        ),
+        ("Roughness of what is seen", {"roughness": "all", "plain_roughness": "plain places"}, Axis(label="degrees")),
+        ("PSNR on held-out views", {"psnr": "PSNR", "psnr_fitted": "light fitted"}, Axis(label="dB")),
         (
             "Scores, 1 is best",
             {"fscore": "F-score", "normal_consistency": "normals", "ssim": "SSIM", "iou": "mask IoU"},

@@ -75,6 +75,14 @@ def draw_triangles(
     return MeshPixels(face=face, weights=weights, depth=depth)
 
 
+def farthest_around(depth: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
+    """Largest depth in the 3 x 3 pixels around each, beyond all things beside pixels without surface.
+
+    At a steep place a pixel's centre is nearer than its border: the depths around it say how much.
+    """
+    return np.asarray(cv2.dilate(np.where(np.isfinite(depth), depth, np.float32(3e38)), np.ones((3, 3), np.uint8)))
+
+
 def cosines(
     points: Vertices, normals: Vertices, camera: Camera, depth: Float32[np.ndarray, "h w"], slack: float
 ) -> Float32[np.ndarray, " n"]:
@@ -82,11 +90,10 @@ def cosines(
 
     ``depth`` is the surface's as ``draw_mesh`` has it.
     """
-    # At a steep place a pixel's centre is nearer than its border: the depths around it say how much.
-    farthest = cv2.dilate(np.where(np.isfinite(depth), depth, np.float32(3e38)), np.ones((3, 3), np.uint8))
+    farthest = farthest_around(depth)
     out = np.zeros(len(points), np.float32)
     pose, center = camera.world_to_camera.double().numpy(), camera.position.double().numpy()
-    kernels.see(points, normals, pose, lens_values(camera), center, np.asarray(farthest), slack, out)
+    kernels.see(points, normals, pose, lens_values(camera), center, farthest, slack, out)
     return out
 
 

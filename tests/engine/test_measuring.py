@@ -158,6 +158,22 @@ def test_pictures_are_of_the_result_and_of_the_start(scene: Scene):
     assert not any(name.startswith("mesh error") for name in bare.pictures()["Result"])
 
 
+# -- without a reference ---------------------------------------------------------------------------------------------
+
+
+def test_without_a_reference_a_run_is_held_against_its_photographs(scene: Scene):
+    bare = train(small_config(outer_steps=2), replace(scene, reference_mesh=None))
+    row, result = bare.of("evaluation")[-2].data, bare.of("evaluation")[-1].data
+    for each in (row, result):
+        assert each["pairs"] == 4  # Of eleven views all round most have no neighbour.
+        assert 0 < each["residual_px"] <= each["residual_p90_px"]
+        assert 0 < each["judged"] <= 1
+        assert 0 < each["roughness"] < 90
+        assert each["psnr_fitted"] > each["psnr"] - 0.5
+    known = train(small_config(outer_steps=2), scene).of("evaluation")[-1].data
+    assert known.get("roughness") is None
+
+
 # -- whole runs ------------------------------------------------------------------------------------------------------
 
 

@@ -66,6 +66,9 @@ def test_a_run_is_rendered_and_measured(
         ([], ConfigError, "either a run"),
         (["run", "--mesh", "a"], ConfigError, "either a run"),
         (["--mesh", "a", "--samples", "0"], ConfigError, "--samples is 0"),
+        (["--mesh", "a", "--consistency"], ConfigError, "--data DIR"),
+        (["--mesh", "a", "--data", "b"], ConfigError, "--consistency needs"),
+        (["run", "--data", "b", "--consistency"], ConfigError, "--consistency needs"),
         (["--mesh", "nowhere.ply"], DataError, "no mesh file at nowhere.ply"),
     ],
 )

@@ -7,7 +7,7 @@ import pytest
 import torch
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
-from sculpt_framework.evaluation.images import mask_iou, psnr, ssim
+from sculpt_framework.evaluation.images import fitted_psnr, mask_iou, psnr, ssim
 from sculpt_framework.rendering.photometric import ssim as differentiable_ssim
 
 
@@ -15,6 +15,23 @@ def test_psnr_of_a_constant_difference():
     image = torch.full((4, 5, 3), 0.5)
     assert psnr(image + 0.1, image) == pytest.approx(20, abs=1e-4)
     assert psnr(image, image) == math.inf
+
+
+def test_fitted_light_does_not_count():
+    """Each channel darker by a factor and an offset of its own within a mask: all of it is light, but for the rest."""
+    image = torch.rand(20, 30, 3, generator=torch.Generator().manual_seed(1)) * 0.5 + 0.25
+    mask = torch.zeros(20, 30)
+    mask[5:15, 5:25] = 1
+    inside = mask[..., None] > 0
+    target = torch.where(inside, image * torch.tensor([0.8, 1.1, 0.9]) + torch.tensor([0.1, -0.1, 0.05]), image)
+    assert psnr(image, target) < 35
+    assert fitted_psnr(image, target, mask) > 100
+    outside = torch.where(inside, target, target + 0.1)
+    assert fitted_psnr(image, outside, mask) == pytest.approx(psnr(target, outside), abs=1e-3)
+    assert fitted_psnr(image, target, torch.zeros(20, 30)) == psnr(image, target)
+    assert fitted_psnr(torch.full_like(image, 0.5), target, None) == pytest.approx(
+        -10 * float(target.var(dim=(0, 1), unbiased=False).mean().log10()), abs=1e-3
+    )
 
 
 def test_psnr_agrees_with_scikit_image_and_takes_arrays():

@@ -13,7 +13,8 @@ from sculpt_plugins.observers.recorder.config import RecorderConfig
 
 COLUMNS = (
     "t_train_s,t_wall_s,t_cpu_s,outer,inner,faces,gaussians,grid,rss_mb,"
-    "psnr,ssim,iou,chamfer_ps,fscore,normal_consistency,under10_pct"
+    "psnr,ssim,iou,chamfer_ps,fscore,normal_consistency,under10_pct,"
+    "psnr_fitted,residual_px,residual_p90_px,residual_depth,judged,roughness,plain_roughness"
 )
 
 
@@ -77,10 +78,23 @@ def test_the_curve_has_the_agreed_columns_and_blanks(tmp_path: Path):
     )
     header, row = (tmp_path / "curve.csv").read_text().splitlines()
     assert header == COLUMNS == ",".join(CURVE_COLUMNS)
-    assert row == "1.25,3.25,,3,,1000,,,,21.5,,,,,,"
+    assert row == "1.25,3.25,,3,,1000,,,,21.5" + "," * 13
     (read,) = read_curve(tmp_path / "curve.csv")
     assert read["faces"] == 1000
     assert read["chamfer_ps"] is None
+
+
+def test_a_curve_of_an_older_version_is_read(tmp_path: Path):
+    """As they were before photographs were measured against: a column fewer each."""
+    columns = COLUMNS.split(",psnr_fitted")[0]
+    (tmp_path / "curve.csv").write_text(f"{columns}\n1.5{',' * 8},20.5,,,0.01,,,0.3\n")
+    (read,) = read_curve(tmp_path / "curve.csv")
+    assert list(read) == list(CURVE_COLUMNS)
+    assert (read["t_train_s"], read["psnr"], read["under10_pct"]) == (1.5, 20.5, 0.3)
+    assert read["residual_px"] is None
+    # Gone on with, it gets the columns it has not had.
+    record(tmp_path, event("run_started", t_train=0.0), event("evaluation", t_train=2.0, residual_px=0.25))
+    assert [row["residual_px"] for row in read_curve(tmp_path / "curve.csv")] == [None, 0.25]
 
 
 def test_a_resumed_run_keeps_the_clock_monotone(tmp_path: Path):

@@ -78,6 +78,8 @@ def error_text(data: Data) -> str:
     parts = []
     if data.get("chamfer_ps") is not None:
         parts.append(f"Chamfer {data['chamfer_ps']:.3g}")
+    if data.get("residual_px") is not None:
+        parts.append(f"residual {data['residual_px']:.2f} px")
     if data.get("psnr") is not None:
         parts.append(f"PSNR {data['psnr']:.2f} dB")
     if data.get("iou") is not None:

@@ -1,0 +1,135 @@
+"""How well a mesh explains posed photographs, without a reference: what it leaves unmatched between neighbouring views.
+
+One image is brought into a neighbour's through the mesh. Were the mesh and the cameras true, the two would lie on
+each other; the displacement that is left, found by dense optical flow, is the residual. Local mean and contrast are
+taken out first, so that light which changes from image to image does not count. Only pixels with texture can be judged;
+where there is none, ``plain_roughness`` says how uneven the mesh is.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from sculpt_framework.evaluation.image_pairs import choose_pairs, prepare
+from sculpt_framework.evaluation.mesh import Mesh
+from sculpt_framework.evaluation.residual import STRIDE, SeenMesh, residuals
+from sculpt_framework.evaluation.roughness import FACING, Unevenness, pixels_of, unevenness
+from sculpt_framework.export.mesh_pixels import cosines, draw_mesh, visibility_slack
+from sculpt_framework.threads import in_threads
+from sculpt_framework.types import View
+
+
+@dataclass(frozen=True, kw_only=True)
+class Consistency:
+    """A mesh against photographs. None where there is nothing to tell it from, never NaN."""
+
+    residual_px: float | None
+    """Median displacement left between two neighbouring views, in pixels of the views as they were given."""
+    residual_p90_px: float | None
+    """Its 90th percentile."""
+    residual_depth: float | None
+    """Median of how far the surface is off across itself, by the displacement along epipolar lines; scene units."""
+    judged: float
+    """Share of the pixels of the masks, over all pairs, that have texture and that the mesh shows to both cameras."""
+    pairs: int
+    """Ordered pairs of views that were compared."""
+    roughness: float | None
+    """Mean angle between normals and their mean around, over what the cameras see, degrees."""
+    plain_roughness: float | None
+    """The same over plain places alone: where the views that see a place have no texture there."""
+    plain: float | None
+    """Share of the surface seen that is plain."""
+
+    def values(self) -> Mapping[str, float | None]:
+        return asdict(self)
+
+
+_NOTHING = Consistency(
+    residual_px=None,
+    residual_p90_px=None,
+    residual_depth=None,
+    judged=0.0,
+    pairs=0,
+    roughness=None,
+    plain_roughness=None,
+    plain=None,
+)
+
+
+class PosedImages:
+    """Views made ready once, to measure any number of meshes against."""
+
+    def __init__(
+        self,
+        views: Sequence[View],
+        center: Float[np.ndarray, " 3"],
+        *,
+        pairs_at_most: int | None = None,
+        pixels_at_most: int | None = None,
+    ):
+        """``center`` is about the middle of the object, world frame: angles between cameras are seen from there.
+
+        Of more than ``pairs_at_most`` pairs some are compared, images of more than ``pixels_at_most`` pixels made
+        smaller. What two meshes score can be compared where all this is the same.
+        """
+        pairs = choose_pairs([view.camera for view in views], np.asarray(center, np.float64), pairs_at_most)
+        # Without pairs the images still say what of a mesh is seen.
+        alone = range(0, len(views), max(1, len(views) // (pairs_at_most or len(views) or 1)))
+        used = sorted({number for pair in pairs for number in pair} or alone)
+        self.pairs = [(used.index(i), used.index(j)) for i, j in pairs]
+        self.images = in_threads(lambda number: prepare(views[number], pixels_at_most), used)
+
+    def measure(self, mesh: Mesh) -> Consistency:
+        """``mesh`` is in world frame. Without area there is nothing to measure, without pairs no residual."""
+        if not mesh.areas.sum() > 0 or not self.images:
+            return replace(_NOTHING, pairs=len(self.pairs))
+        slack = visibility_slack(mesh.vertices)
+        seen = in_threads(
+            lambda image: SeenMesh(image=image, pixels=draw_mesh(mesh.vertices, mesh.faces, image.camera)), self.images
+        )
+        found = in_threads(lambda pair: residuals(mesh, seen[pair[0]], seen[pair[1]], slack), self.pairs)
+        pixels = np.concatenate([np.empty(0), *(each.pixels for each in found)])
+        depths = np.concatenate([np.empty(0), *(each.depths for each in found)])
+        whole = sum(int(self.images[first].mask[::STRIDE, ::STRIDE].sum()) for first, _ in self.pairs)
+        uneven = unevenness(mesh)
+        known, plain = _places(uneven, seen, slack)
+        return Consistency(
+            residual_px=float(np.median(pixels)) if len(pixels) else None,
+            residual_p90_px=float(np.percentile(pixels, 90)) if len(pixels) else None,
+            residual_depth=float(np.median(depths)) if len(depths) else None,
+            judged=len(pixels) / whole if whole else 0.0,
+            pairs=len(self.pairs),
+            roughness=uneven.mean(known),
+            plain_roughness=uneven.mean(plain),
+            plain=float(plain.sum() / known.sum()) if known.any() else None,
+        )
+
+
+def consistency(
+    mesh: Mesh, views: Sequence[View], *, pairs_at_most: int | None = None, pixels_at_most: int | None = None
+) -> Consistency:
+    """Measure one mesh, world frame, against posed views; ``PosedImages`` does so for many meshes in less time.
+
+    Angles between cameras are seen from the middle of the mesh's bounding box.
+    """
+    corners = mesh.corners.reshape(-1, 3)
+    center = 0.5 * (corners.min(axis=0) + corners.max(axis=0)) if len(corners) else np.zeros(3)
+    return PosedImages(views, center, pairs_at_most=pairs_at_most, pixels_at_most=pixels_at_most).measure(mesh)
+
+
+def _places(
+    uneven: Unevenness, seen: Sequence[SeenMesh], slack: float
+) -> tuple[Bool[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
+    """Which of the points some image sees, and which of those are plain in most of the images that see them."""
+    times, textured = np.zeros(len(uneven.points), int), np.zeros(len(uneven.points), int)
+    for each in seen:
+        image = each.image
+        cosine = cosines(uneven.points, uneven.normals, image.camera, each.pixels.depth, slack)
+        number = np.flatnonzero(cosine > FACING)
+        column, row = pixels_of(uneven.points[number], image.camera)
+        inside = image.mask[row, column]
+        times[number[inside]] += 1
+        textured[number[inside]] += image.textured[row, column][inside]
+    return times > 0, (times > 0) & (2 * textured < times)

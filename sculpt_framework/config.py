@@ -204,7 +204,9 @@ class PlanConfig:
     silhouette: Switch | None = None
     """Silhouette loss and start, by whether there are masks."""
     stereo: Switch | None = None
-    """Depths from colours before training, by whether the colours say anything."""
+    """Depths before training, by whether colours say anything, and whether images agree in them."""
+    light: Switch | None = None
+    """How far the surface may move in training, by how much the light differs between images."""
     views: Switch | None = None
     """Views that see nothing or repeat another one."""
     level: Switch | None = None

@@ -43,6 +43,7 @@ BUILTIN: dict[str, dict[str, str]] = {
     },
     "initializer": {
         "photo-hull": "sculpt_plugins.initializers.photo_hull.config:PhotoHullConfig",
+        "stereo": "sculpt_plugins.initializers.stereo.config:StereoConfig",
         "sphere": "sculpt_plugins.initializers.sphere.config:SphereConfig",
         "visual-hull": "sculpt_plugins.initializers.visual_hull.config:VisualHullConfig",
     },

@@ -42,6 +42,8 @@ _TAIL = 0.9
 """Quantile over a point's views: a highlight is seen by few of them."""
 _AMONG_POINTS = 0.75
 """Quantile over the points: no highlight is everywhere."""
+_ON_SURFACE = 0.1
+"""Quantile over the points: where the hull is not the surface, or textured, views disagree whatever the light."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,6 +53,9 @@ class Gloss:
     it gets in a tenth; of the place at three quarters of them all."""
     points: int
     """Places that were looked at."""
+    unevenness: float
+    """By what share of its brightness a place usually differs between views, of a place among the tenth that differ
+    least: how much the light, the exposure or the camera's noise changes from image to image."""
 
 
 def gloss(views: Sequence[View], box: Box) -> Gloss | None:
@@ -86,7 +91,13 @@ def brightening(seen: Bool[Tensor, "n v"], colors: Float[Tensor, "n v 3"]) -> Gl
         # The least of the channels: what all of them have in common.
         common = torch.where(seen, (sign * change).amin(dim=2).clamp(min=0), torch.nan)
         tails.append(common.nanquantile(_TAIL, dim=1))
-    return Gloss(strength=float((tails[0] - tails[1]).quantile(_AMONG_POINTS)), points=len(seen))
+    away = torch.where(seen, change.abs().mean(dim=2), torch.nan).nanmedian(dim=1).values
+    brightness = float(usual.mean(dim=2).nanmedian())
+    return Gloss(
+        strength=float((tails[0] - tails[1]).quantile(_AMONG_POINTS)),
+        points=len(seen),
+        unevenness=float(away.quantile(_ON_SURFACE)) / max(brightness, 1e-3),
+    )
 
 
 def spread(views: Sequence[View], count: int) -> list[View]:

@@ -13,8 +13,14 @@ from sculpt_framework.plan.evidence import Evidence
 from sculpt_framework.plan.options import has_option, option_of, with_options, without
 from sculpt_framework.registry import name_of
 
-HULLS = ("visual-hull", "photo-hull")
-SILHOUETTE, STEREO, HULL, NO_MASKS = "silhouette", "photo-hull", "visual-hull", "sphere"
+HULLS = ("visual-hull", "photo-hull", "stereo")
+SILHOUETTE, CARVED, STEREO, HULL, NO_MASKS = "silhouette", "photo-hull", "stereo", "visual-hull", "sphere"
+SURFACE_RATES = (
+    ("field", "learning_rate"),
+    ("field", "decoder_rate"),
+    ("extractor", "weight_rate"),
+    ("extractor", "deformation_rate"),
+)
 BETWEEN_GAUSSIANS = ("spacing", "coverage")
 """Constraints that are constant where a face has one Gaussian."""
 ON_PLACES = ("mee-scale", "boundary", *BETWEEN_GAUSSIANS)
@@ -22,6 +28,12 @@ ON_PLACES = ("mee-scale", "boundary", *BETWEEN_GAUSSIANS)
 
 SPEAKING_LEAST = 0.02
 """Share of the object that stereo must be able to tell apart: below, depths are found in specks only."""
+UNEVEN_COLORS = 0.017
+"""Share of its brightness by which a place differs between views from which on colours themselves are no measure of
+what belongs together, only how they vary around a place."""
+UNEVEN_LIGHT, HELD_RATE, HELD_STEPS = 0.03, 0.1, 30
+"""The same share from which on colours would move the surface away from what stereo found. Its rates are then so much
+of what they were, and the outer steps so many at the most."""
 CELL_PIXELS_LEAST = 1.0
 """A cell narrower than a pixel is more than the images can tell."""
 CELL_PIXELS_MOST, CELL_PIXELS_AIM = 4.0, 2.0
@@ -87,21 +99,64 @@ def silhouette(config: MethodConfig, evidence: Evidence) -> Ruling:
 def stereo(config: MethodConfig, evidence: Evidence) -> Ruling:
     measured = {"speaking": evidence.speaking}
     why = f"{100 * evidence.speaking:.1f} % of the object can be told apart from its surroundings in brightness"
-    if name_of(config.initializer) != STEREO or evidence.speaking >= SPEAKING_LEAST:
+    if name_of(config.initializer) != CARVED:
         return Ruling(config=config, value="as the method starts", evidence=why, measured=measured)
-    start = registry.default("initializer", HULL)
-    assert isinstance(start, InitializerConfig)  # noqa: S101
-    views, maps = option_of(config.initializer, "max_views"), option_of(config.initializer, "maps")
-    if has_option(start, "max_views") and views is not None:
-        start = replace(start, **{"max_views": views})
-    spared = {"depth maps": float(min(maps or 0, evidence.views))}
+    if evidence.speaking < SPEAKING_LEAST:
+        maps = option_of(config.initializer, "maps")
+        spared = {"depth maps": float(min(maps or 0, evidence.views))}
+        return Ruling(
+            config=replace(config, initializer=_start(HULL, config)),
+            value="start from the visual hull alone",
+            evidence=why,
+            measured=measured,
+            saves=f"{spared['depth maps']:.0f} depth maps and their fusion",
+            spared=spared,
+        )
+    if evidence.gloss is None:
+        return Ruling(config=config, value="as the method starts", evidence=why, measured=measured)
+    uneven = evidence.gloss.unevenness
+    why += f"; places differ by {100 * uneven:.1f} % of their brightness between views"
+    measured["unevenness"] = uneven
+    if uneven < UNEVEN_COLORS:
+        return Ruling(config=config, value="as the method starts", evidence=why, measured=measured)
     return Ruling(
-        config=replace(config, initializer=start),
-        value="start from the visual hull alone",
+        config=replace(config, initializer=_start(STEREO, config)),
+        value="start from normalised correlation, not from equal colours",
         evidence=why,
         measured=measured,
-        saves=f"{spared['depth maps']:.0f} depth maps and their fusion",
-        spared=spared,
+    )
+
+
+def _start(name: str, config: MethodConfig) -> InitializerConfig:
+    """The initializer of that name, with as many views as the method's own."""
+    start = registry.default("initializer", name)
+    assert isinstance(start, InitializerConfig)  # noqa: S101
+    views = option_of(config.initializer, "max_views")
+    return replace(start, **{"max_views": views}) if has_option(start, "max_views") and views is not None else start
+
+
+def light(config: MethodConfig, evidence: Evidence) -> Ruling:
+    if evidence.gloss is None or name_of(config.initializer) != STEREO:
+        why = "how colours change with the view cannot be told" if evidence.gloss is None else "it starts otherwise"
+        return Ruling(config=config, value="as the method has it", evidence=why)
+    uneven = evidence.gloss.unevenness
+    why = f"places differ by {100 * uneven:.1f} % of their brightness between views"
+    measured = {"unevenness": uneven}
+    if uneven < UNEVEN_LIGHT:
+        return Ruling(config=config, value="as the method has it", evidence=why, measured=measured)
+    decided = config
+    for slot, option in SURFACE_RATES:
+        rate = option_of(getattr(config, slot), option)
+        if rate is not None:
+            decided = with_options(decided, slot, **{option: HELD_RATE * rate})
+    steps = min(config.trainer.outer_steps, HELD_STEPS)
+    return Ruling(
+        config=with_options(decided, "trainer", outer_steps=steps),
+        value=f"the surface learns at {HELD_RATE:g} of its rates, for {steps} steps",
+        evidence=why,
+        measured=measured,
+        saves=f"{config.trainer.outer_steps - steps} outer steps",
+        spared={"outer steps": float(config.trainer.outer_steps - steps)},
     )
 
 
@@ -320,6 +375,11 @@ STAGES = "trainer.stages"
 RULES: Sequence[Rule] = (
     Rule(item="silhouette", touches=("losses", "initializer"), decide=silhouette),
     Rule(item="stereo", touches=("initializer",), decide=stereo),
+    Rule(
+        item="light",
+        touches=(*(f"{slot}.{option}" for slot, option in SURFACE_RATES), "trainer.outer_steps"),
+        decide=light,
+    ),
     Rule(item="views", touches=("skip_views",), decide=views),
     Rule(item="level", touches=(STAGES, "trainer.base_cells"), decide=level),
     Rule(item="images", touches=(STAGES,), decide=images),

@@ -7,8 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int64
 from scipy import ndimage, sparse
 
-from sculpt_framework.shape_from_images.fusion import signed_distance
-from sculpt_framework.shape_from_images.volume import Volume
+from sculpt_framework.shape_from_images.volume import Volume, signed_distance
 
 _FACING = 0.1
 """Cosine to the line of sight from which on a view sees a surface: below, it sees an edge."""

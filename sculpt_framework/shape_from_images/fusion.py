@@ -11,7 +11,7 @@ from scipy import ndimage
 from sculpt_framework.cpu_kernels import kernel_cache, share_threads
 from sculpt_framework.shape_from_images.depth_maps import DepthMaps
 from sculpt_framework.shape_from_images.packing import PackedViews
-from sculpt_framework.shape_from_images.volume import Volume
+from sculpt_framework.shape_from_images.volume import Volume, signed_distance
 
 with kernel_cache("sweep", Path(__file__).with_name("sweep_kernels.py")):
     from sculpt_framework.shape_from_images.sweep_kernels import fuse, relax
@@ -204,22 +204,3 @@ def _one_piece(
     sizes = np.bincount(piece.reshape(-1))
     sizes[0] = 0
     return (sizes >= max(1, _CRUMB * sizes.max()))[piece]
-
-
-def signed_distance(
-    inside: Bool[np.ndarray, "x y z"], level: Float32[np.ndarray, "x y z"], cell: float
-) -> Float32[np.ndarray, "x y z"]:
-    """Distance to the surface of ``inside``, negative there; ``level`` says where between cells its zero lies.
-
-    ``level`` may have any scale: within 1.5 cells of the surface it is divided by the length of its gradient. Where its
-    sign is not that of ``inside``, and further away, the distance is that between centres of cells.
-    """
-    if inside.all() or not inside.any():
-        return np.where(inside, -1, 1).astype(np.float32)
-    outer = np.asarray(ndimage.distance_transform_edt(~inside))
-    inner = np.asarray(ndimage.distance_transform_edt(inside))
-    far = np.where(inside, 0.5 - inner, outer - 0.5) * cell
-    slope = np.sqrt(sum(np.square(part) for part in np.gradient(level, cell)))
-    near = np.clip(level / np.maximum(slope, 0.2), -1.5 * cell, 1.5 * cell)
-    trusted = ((near < 0) == inside) & (np.abs(far) < 1.5 * cell)
-    return np.where(trusted, near, far).astype(np.float32)

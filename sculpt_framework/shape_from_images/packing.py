@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Float32, Int64
-from torch import Tensor
+from jaxtyping import Bool, Float32, Int64
 
+from sculpt_framework.shape_from_images.windows import covered_window
 from sculpt_framework.types import View
 
 _MARGIN = 2
@@ -79,19 +79,6 @@ def pack_views(views: Sequence[View], pixels_per_unit: float) -> PackedViews:
         lenses=np.array(lenses, np.float32).reshape(-1, 4),
         positions=np.array(positions, np.float32).reshape(-1, 3),
     )
-
-
-def covered_window(alpha: Float[Tensor, "h w"], margin: int) -> tuple[int, int, int, int]:
-    """Column, row, width and height of the part of an image that holds all pixels covered by half, of which there is
-    one, and ``margin`` pixels around as far as there are."""
-    covered = alpha >= 0.5
-    spans = []
-    for axis, count in ((0, alpha.shape[1]), (1, alpha.shape[0])):
-        places = covered.any(dim=axis).nonzero()[:, 0]
-        first = max(0, int(places[0]) - margin)
-        spans.append((first, min(count, int(places[-1]) + 1 + margin) - first))
-    (x, width), (y, height) = spans
-    return x, y, width, height
 
 
 def _prepare(view: View, pixels_per_unit: float) -> View | None:

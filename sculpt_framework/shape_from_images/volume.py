@@ -5,7 +5,8 @@ from typing import Literal
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float32
+from jaxtyping import Bool, Float, Float32
+from scipy import ndimage
 from torch import Tensor
 from torch.nn import functional
 
@@ -114,3 +115,22 @@ def _blocks_near(values: Float[Tensor, "x y z"], reach: float) -> Float[Tensor, 
     highest = functional.max_pool3d(values[None, None], kernel_size=2, stride=1)[0, 0]
     lowest = -functional.max_pool3d(-values[None, None], kernel_size=2, stride=1)[0, 0]
     return ((lowest < reach) & (highest > -reach)).to(values.dtype)
+
+
+def signed_distance(
+    inside: Bool[np.ndarray, "x y z"], level: Float32[np.ndarray, "x y z"], cell: float
+) -> Float32[np.ndarray, "x y z"]:
+    """Distance to the surface of ``inside``, negative there; ``level`` says where between cells its zero lies.
+
+    ``level`` may have any scale: within 1.5 cells of the surface it is divided by the length of its gradient. Where its
+    sign is not that of ``inside``, and further away, the distance is that between centres of cells.
+    """
+    if inside.all() or not inside.any():
+        return np.where(inside, -1, 1).astype(np.float32)
+    outer = np.asarray(ndimage.distance_transform_edt(~inside))
+    inner = np.asarray(ndimage.distance_transform_edt(inside))
+    far = np.where(inside, 0.5 - inner, outer - 0.5) * cell
+    slope = np.sqrt(sum(np.square(part) for part in np.gradient(level, cell)))
+    near = np.clip(level / np.maximum(slope, 0.2), -1.5 * cell, 1.5 * cell)
+    trusted = ((near < 0) == inside) & (np.abs(far) < 1.5 * cell)
+    return np.where(trusted, near, far).astype(np.float32)

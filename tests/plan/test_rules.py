@@ -20,7 +20,7 @@ USUAL = Evidence(
     pixel_worst=0.0089,
     contrast=(0.05, 0.08, 0.11, 0.13),
     speaking=0.9,
-    gloss=Gloss(strength=0.01, points=800),
+    gloss=Gloss(strength=0.01, points=800, unevenness=0.01),
 )
 """Textured, matt, cells as wide as two pixels."""
 
@@ -81,7 +81,7 @@ def test_large_images_are_reduced_unless_their_texture_would_go() -> None:
 
 @pytest.mark.parametrize(("strength", "degree"), [(0.01, 0), (0.07, 2), (0.2, 3)])
 def test_degree_follows_gloss(strength: float, degree: int) -> None:
-    config, _ = decided(replace(USUAL, gloss=Gloss(strength=strength, points=500)))
+    config, _ = decided(replace(USUAL, gloss=Gloss(strength=strength, points=500, unevenness=0.01)))
     values = vars(config.appearance)
     assert values["sh_degree"] == degree
     if degree:

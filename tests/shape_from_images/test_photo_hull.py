@@ -14,10 +14,10 @@ from sculpt_framework.demo_scenes.texture import SolidTexture
 from sculpt_framework.demo_scenes.tracing import render
 from sculpt_framework.errors import DataError
 from sculpt_framework.shape_from_images.depth_maps import DepthMaps, SweepOptions, find_depths
-from sculpt_framework.shape_from_images.fusion import _one_piece, _truncation, carve, signed_distance
+from sculpt_framework.shape_from_images.fusion import _one_piece, _truncation, carve
 from sculpt_framework.shape_from_images.hull import signed_mask_distance, visual_hull
 from sculpt_framework.shape_from_images.packing import PackedViews, pack_views
-from sculpt_framework.shape_from_images.volume import Volume, sample
+from sculpt_framework.shape_from_images.volume import Volume, sample, signed_distance
 from sculpt_framework.types import View
 from sculpt_plugins.initializers.photo_hull.config import PhotoHullConfig
 

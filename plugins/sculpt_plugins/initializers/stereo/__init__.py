@@ -1,0 +1,1 @@
+"""What the silhouettes and the agreement of colours say."""

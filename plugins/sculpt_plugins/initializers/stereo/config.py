@@ -1,0 +1,30 @@
+"""What the silhouettes and depth maps of all views say."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from sculpt_framework.config import InitializerConfig
+
+if TYPE_CHECKING:
+    from sculpt_plugins.initializers.stereo.initializer import Stereo
+
+
+@dataclass(frozen=True, kw_only=True)
+class StereoConfig(InitializerConfig):
+    """Depth maps of all views by PatchMatch stereo, joined within the visual hull."""
+
+    max_views: int = 100
+    """Use at most so many views, spread evenly over the list."""
+    cells: int = 128
+    """Cells along the longest side of the object's box in which depths are joined."""
+    pixels: int = 384
+    """Pixels along the longest side of the object in the finest images that are compared."""
+    neighbours: int = 8
+    """Views each view is compared with."""
+    agreeing: int = 2
+    """Views that must have the same depth for it to be believed."""
+
+    def build(self) -> "Stereo":
+        from sculpt_plugins.initializers.stereo.initializer import Stereo
+
+        return Stereo(self)

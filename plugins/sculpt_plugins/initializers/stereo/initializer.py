@@ -1,0 +1,53 @@
+"""Multi-view stereo within the visual hull."""
+
+import logging
+from collections.abc import Iterator, Sequence
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from sculpt_framework.extractors import SdfFunction
+from sculpt_framework.initializers import Initializer
+from sculpt_framework.multi_view_stereo.depth_maps import StereoOptions, find_depths
+from sculpt_framework.multi_view_stereo.fusion import fuse
+from sculpt_framework.shape_from_images.closing import close_unseen
+from sculpt_framework.shape_from_images.hull import visual_hull
+from sculpt_framework.shape_from_images.volume import sample
+from sculpt_framework.types import View
+from sculpt_plugins.initializers.stereo.config import StereoConfig
+
+
+class Stereo(Initializer):
+    """Deep hollows that no silhouette shows are out of reach of the gradients of an opaque surface; views side by side
+    show them at once. Where images say nothing, or the views stand too far apart, this is the visual hull."""
+
+    def __init__(self, config: StereoConfig):
+        self._config = config
+
+    @property
+    def silhouette_first(self) -> bool:
+        return False
+
+    def targets(
+        self, views: Sequence[View], half_sides: Float[Tensor, " 3"], device: torch.device
+    ) -> Iterator[SdfFunction]:
+        config = self._config
+        hull = visual_hull(views, config.max_views, device)
+        yield hull
+        x, y, z = (float(side) for side in half_sides)
+        solid = sample(hull, (x, y, z), config.cells, device)
+        masked = [view for view in views if view.alpha is not None]
+        chosen = masked[:: max(1, -(-len(masked) // config.max_views))]
+        options = StereoOptions(pixels=config.pixels, neighbours=config.neighbours, agreeing=config.agreeing)
+        maps = find_depths(chosen, solid, options)
+        shape = solid
+        if maps.known == 0.0:
+            why = "no views stand close enough to each other to compare them: start from the visual hull"
+            logging.getLogger("sculpt").info(why)
+        else:
+            shape = fuse(solid, maps)
+        shape = close_unseen(shape, maps.views.positions)
+        if shape is solid:
+            return
+        yield shape.within(hull, device)

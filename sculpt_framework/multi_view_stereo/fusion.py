@@ -1,0 +1,85 @@
+"""From depth maps to a signed distance: what is seen and what is seen through, weighed against each other everywhere.
+
+The surface is the zero of the volume u that minimises (Zach, Pock and Bischof 2007, with Huber's norm for both parts)
+
+    sum over cells of  |grad u|_a + w |u - f|_b,     u >= the visual hull's distance where that is positive.
+
+f is the signed distance to what the views see, w how sure they are of it together. Where no view knows, f is the
+distance to the shape known before, with little weight: there the surface bends as little as possible.
+"""
+
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float32
+from scipy import ndimage
+
+from sculpt_framework.cpu_kernels import kernel_cache, share_threads
+from sculpt_framework.multi_view_stereo.depth_maps import DepthMaps
+from sculpt_framework.shape_from_images.volume import Volume, signed_distance
+
+with kernel_cache("fusion", Path(__file__).with_name("fusion_kernels.py")):
+    from sculpt_framework.multi_view_stereo import fusion_kernels as kernels
+
+_FRONT, _BACK = 3.0, 2.0
+"""Cells in front of and behind what a view sees in which it tells a distance. Behind less than in front: thin parts are
+seen from both sides."""
+_SURE = 30.0
+"""Confidence of all views together after which more does not make a cell surer."""
+_PRIOR = 0.05
+"""Weight of the shape known before, relative to that of a cell that is sure."""
+_SOFT_SLOPE, _SOFT_ERROR = 1.0, 0.1
+"""Differences between cells, and to what is wanted, that count by their squares; beyond, linearly. In units of
+``_FRONT``: the slope of a distance is a third."""
+_STEPS = 100
+_CRUMB = 1e-3
+"""Pieces smaller than this share of the largest are mistakes."""
+
+
+def fuse(solid: Volume, maps: DepthMaps) -> Volume:
+    """The shape that the depth maps show within ``solid``, a signed distance, which bounds it from outside.
+
+    In object units, negative inside. Bubbles inside, which no view can have seen, are filled, and crumbs removed.
+    """
+    share_threads()
+    views, unit = maps.views, _FRONT * solid.cell
+    # What no ray of a mask passes is outside; a little around it, for differences.
+    asked = solid.values < unit
+    seen, sureness = np.zeros(solid.shape, np.float32), np.zeros(solid.shape, np.float32)
+    kernels.vote(
+        solid.points, asked.reshape(-1), maps.depths, maps.normals, maps.confidence, views.poses, views.lenses,
+        np.float32(unit), np.float32(_BACK * solid.cell), seen.reshape(-1), sureness.reshape(-1),
+    )  # fmt: skip
+    lowest = np.float32(-_BACK / _FRONT)
+    before = np.clip(solid.values / np.float32(unit), lowest, 1)
+    least = np.where(solid.values > 0, before, lowest)
+    known = sureness > 0
+    wanted = np.where(known, seen, before)
+    weights = np.where(known, np.maximum(np.minimum(sureness / np.float32(_SURE), 1), _PRIOR), _PRIOR)
+    values = _smoothed(wanted, weights.astype(np.float32), least)
+    inside = _whole(values < 0)
+    return solid.holding(signed_distance(inside, values * np.float32(unit), solid.cell))
+
+
+def _smoothed(
+    wanted: Float32[np.ndarray, "x y z"], weights: Float32[np.ndarray, "x y z"], least: Float32[np.ndarray, "x y z"]
+) -> Float32[np.ndarray, "x y z"]:
+    """The minimum, by the primal-dual steps of Chambolle and Pock (2011)."""
+    values = np.maximum(wanted, least)
+    ahead, flow = values.copy(), np.zeros((*values.shape, 3), np.float32)
+    # The norm of differences in three directions is the root of 12.
+    step = np.float32(1 / np.sqrt(12))
+    for _ in range(_STEPS):
+        kernels.dual_step(ahead, flow, step, np.float32(_SOFT_SLOPE))
+        kernels.primal_step(values, ahead, flow, wanted, weights, least, step, np.float32(_SOFT_ERROR))
+    return values
+
+
+def _whole(inside: Bool[np.ndarray, "x y z"]) -> Bool[np.ndarray, "x y z"]:
+    """Without bubbles and without crumbs."""
+    filled = np.asarray(ndimage.binary_fill_holes(inside), dtype=bool)
+    piece = np.zeros(inside.shape, np.int32)
+    ndimage.label(filled, output=piece)
+    sizes = np.bincount(piece.reshape(-1))
+    sizes[0] = 0
+    return (sizes >= max(1, _CRUMB * sizes.max()))[piece]

@@ -1,0 +1,141 @@
+"""Views as plain arrays for kernels: cropped to the object, and scaled so that pixels are alike in all of them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float32, Int64
+
+from sculpt_framework.shape_from_images.windows import covered_window
+from sculpt_framework.threads import in_threads
+from sculpt_framework.types import Camera, View
+
+_MARGIN = 2
+"""Pixels of the input kept around the object."""
+_SATURATED = 0.98
+"""A colour channel from which on it says only that there was much light."""
+_LUMINANCE = np.array([0.299, 0.587, 0.114], np.float32)
+_AIM, _NARROW, _WIDE = 12.0, 5.0, 12.0
+"""Degrees between two views that are compared at best, and how fast they count less below and above: more moves the
+image more per step of depth, but distorts it and hides more."""
+_ANGLES = (2.0, 45.0)
+"""Degrees outside of which views are not compared."""
+_SPREAD = 0.5
+"""How much less a view counts that stands in the same direction as one already chosen."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StereoViews:
+    """Images of different sizes in the upper left corners of one stack; the rest is black and outside of the masks.
+
+    A point is projected by ``poses`` into camera coordinates (OpenCV), then by ``lenses`` (fx, fy, cx, cy) to pixels.
+    """
+
+    luminance: Float32[np.ndarray, "v h w"]
+    """In [0, 1]; 0 outside of the masks."""
+    inside: Bool[np.ndarray, "v h w"]
+    """Pixels that show the object: of its mask, or of the image where there is none."""
+    usable: Bool[np.ndarray, "v h w"]
+    """Of these the ones that are not saturated, which can be compared."""
+    poses: Float32[np.ndarray, "v 3 4"]
+    lenses: Float32[np.ndarray, "v 4"]
+    positions: Float32[np.ndarray, "v 3"]
+
+    def __len__(self) -> int:
+        return len(self.luminance)
+
+    def relative(self, view: int, others: Int64[np.ndarray, " n"]) -> Float32[np.ndarray, "n 3 4"]:
+        """What leads from the camera frame of a view into those of others."""
+        rotation, translation = self.poses[view, :, :3].astype(float), self.poses[view, :, 3].astype(float)
+        turned = self.poses[others, :, :3].astype(float) @ rotation.T
+        return np.concatenate([turned, self.poses[others, :, 3:] - (turned @ translation)[..., None]], 2).astype("f4")
+
+    def neighbours(self, count: int) -> list[Int64[np.ndarray, " n"]]:
+        """For each view at most ``count`` others that it is best compared with, the best first.
+
+        Best is an angle of some 12 degrees, as seen from the origin, and not to stand where another of them does: from
+        several sides, one or the other sees what is hidden from the rest.
+        """
+        distances = np.maximum(np.linalg.norm(self.positions, axis=1, keepdims=True), 1e-9)
+        directions = (self.positions / distances).astype(float)
+        angles = np.degrees(np.arccos(np.clip(directions @ directions.T, -1, 1)))
+        chosen = []
+        for i, row in enumerate(angles):
+            worth = np.exp(-0.5 * ((row - _AIM) / np.where(row < _AIM, _NARROW, _WIDE)) ** 2)
+            worth[(row < _ANGLES[0]) | (row > _ANGLES[1])] = 0
+            worth[i] = 0
+            ways = self.positions - self.positions[i]
+            ways = ways / np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), 1e-9)
+            others: list[int] = []
+            while len(others) < count and worth.max() > 0:
+                best = int(worth.argmax())
+                others.append(best)
+                worth *= 1 - _SPREAD * np.maximum(ways @ ways[best], 0) ** 2
+                worth[best] = 0
+            chosen.append(np.array(others, np.int64))
+        return chosen
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Part:
+    """One view's share of the stack."""
+
+    camera: Camera
+    luminance: Float32[np.ndarray, "h w"]
+    inside: Bool[np.ndarray, "h w"]
+    saturated: Bool[np.ndarray, "h w"]
+
+
+def stereo_views(views: Sequence[View], pixels_per_unit: float) -> StereoViews:
+    """Views, their cameras in the object frame, at about ``pixels_per_unit`` at the origin; never enlarged.
+
+    Views whose mask is empty, or that stand at the origin, are left out.
+    """
+    prepared = in_threads(lambda view: _prepare(view, pixels_per_unit), views)
+    parts = [part for part in prepared if part is not None]
+    height = max((part.luminance.shape[0] for part in parts), default=0)
+    width = max((part.luminance.shape[1] for part in parts), default=0)
+    luminance = np.zeros((len(parts), height, width), np.float32)
+    inside, usable = np.zeros(luminance.shape, bool), np.zeros(luminance.shape, bool)
+    for i, part in enumerate(parts):
+        rows, columns = part.luminance.shape
+        luminance[i, :rows, :columns] = part.luminance
+        inside[i, :rows, :columns] = part.inside
+        usable[i, :rows, :columns] = part.inside & ~part.saturated
+    cameras = [part.camera for part in parts]
+    lenses = [[camera.fx, camera.fy, camera.cx, camera.cy] for camera in cameras]
+    poses = [camera.world_to_camera[:3].double().numpy() for camera in cameras]
+    positions = [camera.position.double().numpy() for camera in cameras]
+    return StereoViews(
+        luminance=luminance,
+        inside=inside,
+        usable=usable,
+        poses=np.array(poses, np.float32).reshape(-1, 3, 4),
+        lenses=np.array(lenses, np.float32).reshape(-1, 4),
+        positions=np.array(positions, np.float32).reshape(-1, 3),
+    )
+
+
+def _prepare(view: View, pixels_per_unit: float) -> _Part | None:
+    camera, distance = view.camera, float(view.camera.position.norm())
+    if distance == 0.0 or (view.alpha is not None and not bool((view.alpha >= 0.5).any())):
+        return None
+    rgb = view.rgb.cpu().numpy()
+    alpha = np.ones(rgb.shape[:2], np.float32) if view.alpha is None else view.alpha.cpu().numpy()
+    if view.alpha is not None:
+        x, y, width, height = covered_window(view.alpha, _MARGIN)
+        camera = camera.crop(x, y, width, height)
+        rgb, alpha = rgb[y : y + height, x : x + width], alpha[y : y + height, x : x + width]
+    scale = min(1.0, pixels_per_unit * distance / max(camera.fx, camera.fy))
+    size = max(1, round(camera.width * scale)), max(1, round(camera.height * scale))
+    # Multiplied by the coverage, so that what is beside the object is not mixed in, and divided by it again.
+    saturated = (rgb.max(axis=2) >= _SATURATED).astype(np.float32)
+    layers = np.dstack([(rgb @ _LUMINANCE) * alpha, alpha, saturated])
+    luminance, coverage, blown = np.moveaxis(cv2.resize(layers, size, interpolation=cv2.INTER_AREA), 2, 0)
+    return _Part(
+        camera=camera.resized(*size),
+        luminance=np.where(coverage > 0.02, luminance / np.maximum(coverage, np.float32(0.02)), np.float32(0)),
+        inside=coverage >= 0.5,
+        saturated=blown > 0.5,
+    )

@@ -24,9 +24,10 @@ with kernel_cache("fusion", Path(__file__).with_name("fusion_kernels.py")):
 _FRONT, _BACK = 3.0, 2.0
 """Cells in front of and behind what a view sees in which it tells a distance. Behind less than in front: thin parts are
 seen from both sides."""
-_SURE = 30.0
-"""Confidence of all views together after which more does not make a cell surer."""
-_PRIOR = 0.05
+_SURE, _SURE_EMPTY = 30.0, 4.0
+"""Confidence of all views together after which more does not make a cell surer: near a surface, whose place each view
+has a little wrong, and where they see through, in which a few are not wrong."""
+_PRIOR = 0.02
 """Weight of the shape known before, relative to that of a cell that is sure."""
 _SOFT_SLOPE, _SOFT_ERROR = 1.0, 0.1
 """Differences between cells, and to what is wanted, that count by their squares; beyond, linearly. In units of
@@ -55,7 +56,8 @@ def fuse(solid: Volume, maps: DepthMaps) -> Volume:
     least = np.where(solid.values > 0, before, lowest)
     known = sureness > 0
     wanted = np.where(known, seen, before)
-    weights = np.where(known, np.maximum(np.minimum(sureness / np.float32(_SURE), 1), _PRIOR), _PRIOR)
+    enough = np.where(seen >= 1, np.float32(_SURE_EMPTY), np.float32(_SURE))
+    weights = np.where(known, np.clip(sureness / enough, _PRIOR, 1), _PRIOR)
     values = _smoothed(wanted, weights.astype(np.float32), least)
     inside = _whole(values < 0)
     return solid.holding(signed_distance(inside, values * np.float32(unit), solid.cell))

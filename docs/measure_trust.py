@@ -26,6 +26,7 @@ import numpy as np
 import torch
 import trimesh
 from scipy import ndimage, sparse
+from scipy.spatial import KDTree
 from scipy.stats import spearmanr
 from skimage.measure import marching_cubes
 
@@ -213,7 +214,7 @@ def pits(mesh: Mesh, radius: float, depth: float) -> np.ndarray:
     wide = 3 * CELL * radius
     count = int(0.5 * mesh.areas.sum() / wide**2)
     places = generator.choice(len(mesh.vertices), min(count, len(mesh.vertices)), replace=False)
-    away, _ = trimesh.proximity.KDTree(mesh.vertices[places]).query(mesh.vertices)
+    away, _ = KDTree(mesh.vertices[places]).query(mesh.vertices)
     return depth * CELL * radius * np.maximum(0, 1 - (2 * away / wide) ** 2)
 
 

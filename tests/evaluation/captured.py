@@ -12,13 +12,13 @@ from sculpt_framework.export.mesh_files import write_mesh_ply
 _OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
-def write_capture(folder: Path, *, masks: bool = True, truth: bool = True) -> Path:
-    """Six views, 12 degrees apart, of 120 x 120 pixels before black."""
+def write_capture(folder: Path, *, masks: bool = True, truth: bool = True, views: int = 6) -> Path:
+    """Views 12 degrees apart, of 120 x 120 pixels before black; 30 of them go all the way around."""
     names = ("images", "masks") if masks else ("images",)
     for name in names:
         (folder / name).mkdir(parents=True)
     frames = []
-    for index, camera in enumerate(ring(6, 12, 120)):
+    for index, camera in enumerate(ring(views, 12, 120)):
         view = view_of_ball(camera)
         assert view.alpha is not None
         pictures = {"images": view.rgb.numpy()[..., ::-1], "masks": view.alpha.numpy()}

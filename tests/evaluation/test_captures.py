@@ -11,9 +11,11 @@ from captured import write_ball, write_capture
 from photographed_ball import RADIUS
 
 from sculpt_framework.cli.bench import bench
+from sculpt_framework.cli.evaluate import evaluate
 from sculpt_framework.errors import ConfigError, DataError, TrainingFailed
 from sculpt_framework.evaluation.mesh import load_mesh
 from sculpt_framework.experiments.capture_measures import Capture
+from sculpt_framework.experiments.runner import TRAIN
 from sculpt_framework.experiments.suites import find_suite
 
 FAKE = (sys.executable, "-S", str(Path(__file__).parents[1] / "experiments" / "fake_train.py"))
@@ -139,6 +141,30 @@ def test_what_has_no_truth_and_no_area(captures: Path):
     (captures / "flat.obj").write_text("v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n")
     with pytest.raises(DataError, match="no area"):
         bare.measure(load_mesh(captures / "flat.obj"))
+
+
+@pytest.mark.slow
+def test_with_real_runs(captures: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("sculpt_framework.experiments.runner.TRAIN", TRAIN)
+    folder = captures.parent / "around"
+    write_ball(write_capture(folder / "ball", views=30) / "openmvs.ply", 1.04)
+    write_capture(folder / "bare", masks=False, truth=False, views=30)
+    words = "suite captures around --masks both --against openmvs.ply --outer-steps 4"
+    extra = "--methods gaussian-sculpting-tiny -- --trainer.fit-steps 30 --trainer.polish-steps 4"
+    bench([*words.split(), *extra.split()])
+    found = rows()
+    assert [row["status"] for row in found] == ["finished"] * 4
+    assert all(float(row["residual_px"]) > 0 for row in found)
+    assert all(float(row["t_wall_s"]) > 0 for row in found if row["mesh"] != "openmvs")
+    page = (OUT / "report.html").read_text()
+    assert "Distance to the truth against time" in page
+    assert "Residual between photographs against time" in page
+    # The same figures as the command for one run.
+    capsys.readouterr()
+    (run,) = OUT.glob("runs/ball/*/*/seed-0")
+    evaluate([str(run), "--consistency", "--json"])
+    told = json.loads(capsys.readouterr().out)["consistency"]
+    assert told["residual_px"] == pytest.approx(float(found[0]["residual_px"]), rel=1e-4)
 
 
 @pytest.mark.parametrize(

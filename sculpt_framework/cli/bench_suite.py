@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -22,16 +23,21 @@ class SuiteRequest:
     marching-tetrahedra
     """
 
-    name: Annotated[Literal["demo", "blender", "omniobject3d"], tyro.conf.Positional]
-    """demo: the built-in scenes; blender: the paper's five of NeRF-Synthetic; omniobject3d: its twelve categories."""
+    name: Annotated[Literal["demo", "blender", "omniobject3d", "captures"], tyro.conf.Positional]
+    """demo: the built-in scenes; blender: the paper's five of NeRF-Synthetic; omniobject3d: its twelve categories;
+    captures: every folder of posed photographs in DIR."""
     folder: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
-    """Where the data of blender and omniobject3d are."""
+    """Where the data of blender, omniobject3d and captures are."""
     methods: Annotated[tuple[str, ...], tyro.conf.arg(metavar="METHOD")] = ("gaussian-sculpting",)
     """Methods to run."""
     objects: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = ()
     """Scenes, objects or categories to run instead of the suite's own."""
     references: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
     """blender: meshes called as the scenes are, for scenes that bring no gt_mesh.ply."""
+    masks: Literal["with", "without", "both"] = "with"
+    """captures: whether those that have files of masks are run with them, as if they had none, or both."""
+    against: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME.ply", help_behavior_hint="")] = ()
+    """captures: meshes of other programs, files of these names in the captures' folders, measured as ours are."""
     seeds: Annotated[tuple[int, ...], tyro.conf.arg(metavar="N")] = (0,)
     """Seeds, one run for each."""
     max_time: Annotated[float | None, tyro.conf.arg(metavar="SECONDS", help_behavior_hint="")] = None
@@ -56,12 +62,10 @@ def suite(words: Sequence[str]) -> None:
 
     from sculpt_framework.experiments.carry_out import carry_out
     from sculpt_framework.experiments.plan import Budget, Setting, check_extra, config_of, cross
-    from sculpt_framework.experiments.results import results_csv
-    from sculpt_framework.experiments.suite_tables import notes, suite_tables
     from sculpt_framework.experiments.suites import find_suite
 
     check_extra(extra)
-    found = find_suite(request.name, request.folder, request.objects, request.references)
+    found = find_suite(request.name, request.folder, request.objects, request.references, request.masks)
     settings = [Setting(name=method, method=method) for method in request.methods]
     for setting in settings:
         config_of(setting, found.scenes[0], extra)
@@ -72,25 +76,41 @@ def suite(words: Sequence[str]) -> None:
         budget = Budget(kind="steps", amount=float(request.outer_steps))
     title = f"Suite {request.name}"
     plan = cross(title, settings, found.scenes, [budget], request.seeds, extra)
-    carry_out(
+    folder = request.out or Path("outputs") / f"suite-{request.name}"
+    carried_out = partial(
+        carry_out,
         plan,
-        request.out or Path("outputs") / f"suite-{request.name}",
-        lambda results: (
-            suite_tables(results, found, request.methods),
-            notes(found),
-            results_csv(results, {}),
-        ),
+        folder,
         asked=(*PROGRAM.split(), *words),
         jobs=request.jobs,
         retry_failed=request.retry_failed,
         run=not request.show,
     )
+    if request.name == "captures":
+        from sculpt_framework.experiments.capture_measures import check_external, measure_all
+        from sculpt_framework.experiments.capture_tables import capture_page, capture_tables
+
+        check_external(request.against, found)
+        carried_out(
+            lambda results: capture_tables(results, found, request.against, folder),
+            measure=partial(measure_all, plan, found, request.against, folder),
+            page=lambda results: capture_page(results, found, request.against, folder),
+        )
+    else:
+        from sculpt_framework.experiments.results import results_csv
+        from sculpt_framework.experiments.suite_tables import notes, suite_tables
+
+        carried_out(
+            lambda results: (suite_tables(results, found, request.methods), notes(found), results_csv(results, {}))
+        )
 
 
 def _check(request: SuiteRequest) -> None:
     check_counts(request.seeds, request.jobs)
     if not request.methods or len(set(request.methods)) < len(request.methods):
         raise ConfigError(f"--methods {' '.join(request.methods)}: expected one or more, each once.")
+    if request.name != "captures" and (request.against or request.masks != "with"):
+        raise ConfigError("--masks and --against are for the suite captures; the scenes of others are as they are.")
     if request.max_time is not None and request.outer_steps is not None:
         raise ConfigError("--max-time and --outer-steps: expected one of the two.")
     if request.max_time is not None and not 0 < request.max_time < float("inf"):

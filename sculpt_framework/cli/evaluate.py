@@ -17,9 +17,6 @@ if TYPE_CHECKING:
     from sculpt_framework.evaluation.geometry import MeasuredMesh
     from sculpt_framework.types import Scene
 
-_PIXELS_AT_MOST = 1_000_000
-"""Of a photograph that a mesh is held against: finer ones take their time, and surfaces are not that exact."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluateRequest:
@@ -136,10 +133,10 @@ def _scene(data: str) -> "Scene":
 
 
 def _consistency(mesh: Path, scene: "Scene") -> Mapping[str, float | None]:
-    from sculpt_framework.evaluation.consistency import PosedImages
+    from sculpt_framework.evaluation.consistency import EVALUATION_PIXELS, PosedImages
     from sculpt_framework.evaluation.mesh import load_mesh
 
-    images = PosedImages(scene.train, scene.box.center.double().numpy(), pixels_at_most=_PIXELS_AT_MOST)
+    images = PosedImages(scene.train, scene.box.center.double().numpy(), pixels_at_most=EVALUATION_PIXELS)
     return images.measure(load_mesh(mesh)).values()
 
 

@@ -12,7 +12,9 @@ import tyro
 from sculpt_framework.cli import exit_codes
 from sculpt_framework.errors import ConfigError
 
-Measure = Literal["auto", "chamfer", "fscore", "normal-consistency", "psnr", "ssim", "iou", "under10-pct"]
+Measure = Literal[
+    "auto", "chamfer", "fscore", "normal-consistency", "psnr", "ssim", "iou", "under10-pct", "residual-px"
+]
 
 
 @dataclass(frozen=True, kw_only=True)

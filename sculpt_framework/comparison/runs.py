@@ -12,7 +12,7 @@ from sculpt_framework.evaluation.curve import CurveRow, read_curve
 
 Clock = Literal["train", "wall", "cpu"]
 """Which seconds: training alone, since the process started, or CPU seconds of all threads."""
-Measure = Literal["chamfer", "fscore", "normal_consistency", "psnr", "ssim", "iou", "under10_pct"]
+Measure = Literal["chamfer", "fscore", "normal_consistency", "psnr", "ssim", "iou", "under10_pct", "residual_px"]
 HIGHER_IS_BETTER: frozenset[Measure] = frozenset({"fscore", "normal_consistency", "psnr", "ssim", "iou"})
 
 
@@ -42,6 +42,8 @@ class CurvePoint:
     fscore: float | None = None
     normal_consistency: float | None = None
     under10_pct: float | None = None
+    residual_px: float | None = None
+    """Median displacement left between photographs; of runs without a reference."""
 
     def seconds(self, clock: Clock) -> float | None:
         return {"train": self.train_seconds, "wall": self.wall_seconds, "cpu": self.cpu_seconds}[clock]
@@ -168,6 +170,7 @@ def curve_points(rows: Sequence[CurveRow], events: Iterable[Mapping[str, Any]] =
                 fscore=row["fscore"],
                 normal_consistency=row["normal_consistency"],
                 under10_pct=row["under10_pct"],
+                residual_px=row["residual_px"],
             )
         )
     return tuple(points)

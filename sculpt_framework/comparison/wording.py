@@ -32,6 +32,7 @@ MEASURES: Mapping[Measure, MeasureWording] = {
     "ssim": MeasureWording(name="SSIM on held-out views", unit="", log=False),
     "iou": MeasureWording(name="mask IoU on held-out views", unit="", log=False),
     "under10_pct": MeasureWording(name="triangles under 10 degrees", unit="%", log=False),
+    "residual_px": MeasureWording(name="residual between photographs", unit="pixels", log=True),
 }
 
 CLOCKS: Mapping[Clock, str] = {

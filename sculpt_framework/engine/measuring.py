@@ -13,7 +13,7 @@ from sculpt_framework.engine.gaussian_scene import GaussianScene
 from sculpt_framework.engine.images import TrainingImage, prepare_image
 from sculpt_framework.engine.initial_fit import start_surface
 from sculpt_framework.engine.reconstruction import object_gaussians, world_mesh
-from sculpt_framework.evaluation.consistency import PosedImages
+from sculpt_framework.evaluation.consistency import CURVE_PAIRS, CURVE_PIXELS, PosedImages
 from sculpt_framework.evaluation.geometry import MeasuredMesh
 from sculpt_framework.evaluation.images import fitted_psnr, mask_iou, psnr, ssim
 from sculpt_framework.evaluation.mesh import Mesh, load_mesh
@@ -28,9 +28,8 @@ _VIEWS_AT_MOST, _PIXELS_AT_MOST = 4, 4_000_000
 """More held-out views, or more pixels in them, add evaluation time, not knowledge."""
 _JUDGES = 2
 """Views for what is looked at often."""
-_CURVE_PAIRS, _CURVE_PIXELS = 12, 150_000
-"""Neighbouring views that a surface is judged by while training, and pixels in each."""
 _RESULT_PAIRS, _RESULT_PIXELS = 24, 500_000
+"""Neighbouring views that a result is judged by, and pixels in each."""
 
 
 class Yardstick:
@@ -102,7 +101,7 @@ class Yardstick:
     @cached_property
     def _photographs(self) -> PosedImages:
         """What a surface is held against where there is no reference; made when it is first asked for."""
-        return PosedImages(self._views, self._center, pairs_at_most=_CURVE_PAIRS, pixels_at_most=_CURVE_PIXELS)
+        return PosedImages(self._views, self._center, pairs_at_most=CURVE_PAIRS, pixels_at_most=CURVE_PIXELS)
 
     @property
     def _center(self) -> np.ndarray:

@@ -46,6 +46,10 @@ class Consistency:
         return asdict(self)
 
 
+CURVE_PAIRS, CURVE_PIXELS = 12, 150_000
+"""Neighbouring views that a surface is judged by while it is trained, and pixels in each."""
+EVALUATION_PIXELS = 1_000_000
+"""Of a photograph that a finished mesh is held against: finer ones take their time, and surfaces are not that exact."""
 _NOTHING = Consistency(
     residual_px=None,
     residual_p90_px=None,

@@ -28,6 +28,8 @@ def carry_out(
     jobs: int,
     retry_failed: bool,
     run: bool,
+    measure: Callable[[Callable[[str], None]], None] = lambda told: None,
+    page: Callable[[Sequence[CellResult]], str] | None = None,
     retries: int = 0,
     command: Sequence[str] | None = None,
     engine: Engine | None = None,
@@ -35,7 +37,8 @@ def carry_out(
     """Run what has not been run (nothing without ``run``), then write results.csv and tables.md and print the tables.
 
     ``asked`` is the command line this is done for; tables.md repeats it. Tables are written after an interrupt, too, of
-    what there is. ``retries``, ``command`` and ``engine`` are as in ``run_plan``. Returns the results. Raises
+    what there is. ``measure`` comes between runs and tables, but not without ``run``, and tells what it does; ``page``
+    makes report.html. ``retries``, ``command`` and ``engine`` are as in ``run_plan``. Returns the results. Raises
     SculptError as the runner does, and TrainingFailed if every run failed.
     """
     if not run and not folder.is_dir():
@@ -54,19 +57,21 @@ def carry_out(
                 command=command,
                 engine=engine,
             )
+            measure(lambda line: console.print(line, markup=False, highlight=False, soft_wrap=True))
     except KeyboardInterrupt:
         board.close()
         console.print("interrupted; the same command goes on", markup=False, highlight=False)
-        _write(folder, plan, tables, asked)
+        _write(folder, plan, tables, page, asked)
         raise
     finally:
         board.close()
-    results, made, notes = _write(folder, plan, tables, asked)
+    results, made, notes = _write(folder, plan, tables, page, asked)
     for table in made:
         table.show(console)
     for note in notes:
         console.print(note, markup=False, highlight=False, soft_wrap=True)
-    console.print(f"written: {folder / 'tables.md'}, {folder / 'results.csv'}", markup=False, highlight=False)
+    names = ("tables.md", "results.csv", *(("report.html",) if page else ()))
+    console.print(f"written: {', '.join(str(folder / name) for name in names)}", markup=False, highlight=False)
     ended = [result.record for result in results if result.record is not None]
     if run and ended and all(record.failed for record in ended):
         raise TrainingFailed(f"all {len(ended)} runs failed; the first said: {ended[0].reason}")
@@ -74,7 +79,11 @@ def carry_out(
 
 
 def _write(
-    folder: Path, plan: Plan, tables: Tables, asked: Sequence[str]
+    folder: Path,
+    plan: Plan,
+    tables: Tables,
+    page: Callable[[Sequence[CellResult]], str] | None,
+    asked: Sequence[str],
 ) -> tuple[tuple[CellResult, ...], list[Table], list[str]]:
     results = read_results(plan, folder)
     made, notes, csv = tables(results)
@@ -82,6 +91,8 @@ def _write(
     parts.append("".join(f"- {note}\n" for note in notes))
     write_atomically(folder / "results.csv", csv.encode())
     write_atomically(folder / "tables.md", "\n".join(parts).encode())
+    if page is not None:
+        write_atomically(folder / "report.html", page(results).encode())
     return results, made, notes
 
 

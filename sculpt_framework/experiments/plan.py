@@ -97,8 +97,8 @@ class Plan:
     title: str
     cells: tuple[Cell, ...]
     warm_ups: Mapping[str, tuple[str, ...]]
-    """Words of a short run of each scene, by its label, that is thrown away, so that no run that counts renders a demo
-    scene, reads files for the first time or compiles kernels."""
+    """Words of a short run on each scene's data, by its label, that is thrown away, so that no run that counts renders
+    a demo scene, reads files for the first time or compiles kernels."""
 
 
 def cross(
@@ -137,7 +137,8 @@ def cross(
     )
     stages = len(config_of(settings[0], scenes[0], extra).trainer.stages)
     short = _warm_up_words(stages)
-    warm_ups = {scene.label: (*_start_of(settings[0], scene, extra), *short) for scene in scenes}
+    first = {scene.data: scene for scene in reversed(scenes)}
+    warm_ups = {scene.label: (*_start_of(settings[0], scene, extra), *short) for scene in first.values()}
     return Plan(title=title, cells=cells, warm_ups=warm_ups)
 
 

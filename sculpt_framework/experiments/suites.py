@@ -4,12 +4,17 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal, cast
 
-from sculpt_framework.errors import ConfigError
+from sculpt_framework.config import DatasetConfig
+from sculpt_framework.errors import ConfigError, DataError
 from sculpt_framework.experiments.paper import NERF_SYNTHETIC, OMNIOBJECT3D, PaperTable
-from sculpt_framework.experiments.plan import PlannedScene, absolute_data
+from sculpt_framework.experiments.plan import PlannedScene, absolute_data, folder_name
 
-SUITES = ("demo", "blender", "omniobject3d")
+SUITES = ("demo", "blender", "omniobject3d", "captures")
+Masks = Literal["with", "without", "both"]
+WITHOUT_MASKS = "-without-masks"
+"""What the label of a capture whose masks are ignored ends in."""
 _MESHES = (".ply", ".obj", ".glb", ".stl", ".off")
 OMNIOBJECT3D_CATEGORIES = tuple(name.lower() for name in OMNIOBJECT3D.objects)
 """The paper names objects by their category in the dataset, and does not say which scans it took."""
@@ -28,13 +33,18 @@ class Suite:
     paper: PaperTable | None
     unit: float
     """Of the Chamfer distances in the table."""
+    left_out: tuple[str, ...] = ()
+    """Folders that are no scenes."""
 
 
-def find_suite(name: str, folder: Path | None, objects: Sequence[str], references: Path | None) -> Suite:
+def find_suite(
+    name: str, folder: Path | None, objects: Sequence[str], references: Path | None, masks: Masks = "with"
+) -> Suite:
     """The scenes of a suite.
 
-    ``objects`` chooses among them; none: the paper's, or all demo scenes. ``references`` is a folder with a mesh per
-    scene, NAME.ply or so, for data that bring none. Raises ConfigError, with what was found, where that is not there.
+    ``objects`` chooses among them; none: the paper's, or all demo scenes and captures. ``references`` is a folder with
+    a mesh per scene, NAME.ply or so, for data that bring none. ``masks``: whether captures that have masks are taken
+    with them, as if they had none, or as two scenes. Raises ConfigError, with what was found, where that is not there.
     """
     if name == "demo":
         if folder is not None or references is not None:
@@ -49,8 +59,9 @@ def find_suite(name: str, folder: Path | None, objects: Sequence[str], reference
     if name == "blender":
         return _blender(folder, objects, references)
     if references is not None:
-        raise ConfigError("the suite omniobject3d takes its references from raw_scans; leave --references out.")
-    return _omniobject3d(folder, objects)
+        source = "raw_scans" if name == "omniobject3d" else "gt_mesh.ply in each capture's folder"
+        raise ConfigError(f"the suite {name} takes its references from {source}; leave --references out.")
+    return _captures(folder, objects, masks) if name == "captures" else _omniobject3d(folder, objects)
 
 
 def _demo(objects: Sequence[str]) -> Suite:
@@ -117,6 +128,50 @@ def _omniobject3d(folder: Path, objects: Sequence[str]) -> Suite:
         paper=OMNIOBJECT3D,
         unit=1e-3,
     )
+
+
+def _captures(folder: Path, objects: Sequence[str], masks: Masks) -> Suite:
+    """Every folder in ``folder`` that the dataset auto reads, once or, with and without its masks, twice."""
+    from sculpt_framework.posed_images.masks import has_mask_files
+
+    folders = [path for path in sorted(folder.iterdir()) if path.is_dir()]
+    there = {path.name: path for path in folders if _is_scene(path)}
+    unknown = [name for name in objects if name not in there]
+    if unknown:
+        raise ConfigError(f"--objects {unknown[0]}: {folder} has no such capture; there are {_listed(there)}.")
+    if not there:
+        raise ConfigError(f"{folder} holds no captures; expected folders that sculpt-train --data can read, each one.")
+    scenes = []
+    for name in objects or there:
+        label, data = folder_name(name), absolute_data(str(there[name]))
+        masked = has_mask_files(there[name])
+        if masks != "without" or not masked:
+            scenes.append(PlannedScene(label=label, data=data))
+        if masks != "with" and masked:
+            words = ("--dataset.masks", "ignored")
+            scenes.append(PlannedScene(label=f"{label}{WITHOUT_MASKS}", data=data, words=words))
+    labels = [scene.label for scene in scenes]
+    if twice := sorted({label for label in labels if labels.count(label) > 1}):
+        raise ConfigError(f"{folder}: two captures would be called {twice[0]}; rename one of the folders.")
+    return Suite(
+        name="captures",
+        scenes=tuple(scenes),
+        columns=tuple(scene.label for scene in scenes),
+        missing=(),
+        paper=None,
+        unit=1e-2,
+        left_out=tuple(path.name for path in folders if path.name not in there),
+    )
+
+
+def _is_scene(folder: Path) -> bool:
+    from sculpt_framework import registry
+
+    try:
+        cast("DatasetConfig", registry.default("dataset", "auto")).build(str(folder))
+    except DataError:
+        return False
+    return True
 
 
 def paper_column(paper: PaperTable, column: str) -> int | None:

@@ -1,5 +1,6 @@
 """Masks in files of their own: white where the object is."""
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,6 +14,14 @@ from sculpt_framework.posed_images.decoding import DecodedImage, read_image
 MASK_FOLDERS = ("masks", "mask", "object_mask")
 EXTENSIONS = (".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG", ".tif", ".bmp")
 _ASPECT_TOLERANCE = 0.01
+
+
+def has_mask_files(root: Path) -> bool:
+    """Whether a folder of photographs has a folder of masks, or a ``transforms.json`` that names masks."""
+    if any((root / name).is_dir() for name in MASK_FOLDERS):
+        return True
+    named = root / "transforms.json"
+    return named.is_file() and re.search(rb'"mask_path"\s*:\s*"', named.read_bytes()) is not None
 
 
 def find_masks(root: Path, names: Sequence[str]) -> list[Path | None]:

@@ -5,6 +5,7 @@ from typing import Literal
 
 from sculpt_framework.config import DatasetConfig
 
+MasksOption = Literal["auto", "cut-out", "none", "ignored"]
 Corners = tuple[float, float, float, float, float, float]
 
 
@@ -14,8 +15,9 @@ class PhotographsConfig(DatasetConfig):
 
     downscale: int = 0
     """Read images at 1/N of their width and height; 0: as large as 2 GiB allow for all of them together."""
-    masks: Literal["auto", "cut-out", "none"] = "auto"
-    """auto: masks that are there, else a plain background keyed out, else cut out; cut-out: do not try to key."""
+    masks: MasksOption = "auto"
+    """auto: masks that are there, else a plain background keyed out, else cut out; cut-out: do not try to key; ignored:
+    as auto where there are no files of masks, whether there are or not."""
     background: Literal["auto", "white", "black", "none"] = "auto"
     """What is behind images without alpha; auto looks for a constant colour at their borders, none keys nothing."""
     test_every: int = 0

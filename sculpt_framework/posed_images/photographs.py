@@ -62,8 +62,11 @@ def load_photographs(
 
     Raises DataError where images or poses are unusable.
     """
+    ignored = options.masks == "ignored"
+    if ignored:
+        train, test = ([replace(item, mask=None) for item in items] for items in (train, test))
     by_file = any(item.mask is not None for item in train)
-    keyed = "none" if options.masks != "auto" or by_file else options.background
+    keyed = options.background if (options.masks == "auto" and not by_file) or ignored else "none"
     loaded = load_views(train, test, keyed, downscale=options.downscale, all_round=True)
     said = [*notes, *loaded.notes]
     views, held_out = list(loaded.train), list(loaded.test)

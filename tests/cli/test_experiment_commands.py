@@ -10,6 +10,7 @@ import pytest
 
 from sculpt_framework.cli.ablate import ablate, main, split_extra
 from sculpt_framework.cli.bench import bench
+from sculpt_framework.cli.evaluate import evaluate
 from sculpt_framework.errors import ConfigError, SculptError, TrainingFailed
 
 FAKE = (sys.executable, "-S", str(Path(__file__).parents[1] / "experiments" / "fake_train.py"))
@@ -28,7 +29,9 @@ def place(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("name", "words", "run"), [("ablate", [], ablate), ("bench-suite", ["suite"], bench)], ids=["ablate", "suite"]
+    ("name", "words", "run"),
+    [("ablate", [], ablate), ("bench-suite", ["suite"], bench), ("eval", [], evaluate)],
+    ids=["ablate", "suite", "eval"],
 )
 def test_help(name: str, words: list[str], run: Callable, capsys: pytest.CaptureFixture[str], snapshot: Snapshot):
     with pytest.raises(SystemExit) as caught:

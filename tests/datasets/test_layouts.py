@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 import torch
 from layouts import WRITERS, Shot, make_shots, write_blender, write_colmap, write_idr, write_nerfstudio
+from plain_scenes import write_image
 
 from sculpt_framework.errors import ConfigError, DataError
+from sculpt_framework.posed_images.masks import has_mask_files
 from sculpt_framework.types import Scene
 from sculpt_plugins.datasets.auto.config import AutoDatasetConfig
 from sculpt_plugins.datasets.colmap.config import ColmapConfig
@@ -143,6 +145,31 @@ def test_the_ball_of_scale_mat_without_masks(shots: list[Shot], tmp_path: Path):
     scene = IdrConfig(masks="none", background="none").build(str(folder)).load()
     assert scene.box.maximum.tolist() == pytest.approx([1.1] * 3)
     assert all(view.alpha is None for view in scene.train)
+
+
+@pytest.mark.parametrize("write", [write_colmap, write_idr, write_nerfstudio])
+def test_masks_that_are_ignored(write: Write, shots: list[Shot], tmp_path: Path):
+    """Black masks would leave nothing; the black background is keyed out as if they were not there."""
+    folder = write(tmp_path / "scene", shots)
+    for path in (*folder.glob("mask/*"), *folder.glob("masks/*")):
+        write_image(path, np.zeros_like(shots[0].image[..., 3]))
+    assert has_mask_files(folder)
+    with pytest.raises(DataError, match="transparent"):
+        _load(folder)
+    scene = AutoDatasetConfig(masks="ignored").build(str(folder)).load()
+    assert not any("mask in a file" in note for note in scene.notes)
+    for view, shot in zip(scene.train, shots, strict=True):
+        assert view.alpha is not None
+        assert ((view.alpha.numpy() > 0.5) == (shot.image[..., 3] > 0)).mean() > 0.95
+
+
+def test_layouts_without_masks_in_files_say_so(shots: list[Shot], tmp_path: Path):
+    folder = write_blender(tmp_path / "scene", shots)
+    assert not has_mask_files(folder)
+    with pytest.raises(ConfigError, match="images of NeRF-Synthetic have an alpha channel instead"):
+        AutoDatasetConfig(masks="ignored").build(str(folder))
+    with pytest.raises(ConfigError, match="demo scenes have masks of their own"):
+        AutoDatasetConfig(masks="ignored").build("demo")
 
 
 def test_sparse_points_give_the_box_where_there_are_no_masks(shots: list[Shot], tmp_path: Path):

@@ -7,10 +7,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import trimesh
+from captured import write_ball, write_capture
+from photographed_ball import RADIUS
 
 from sculpt_framework.cli.evaluate import evaluate
 from sculpt_framework.engine import run as engine_run
 from sculpt_framework.errors import ConfigError, DataError
+from sculpt_plugins.datasets.auto.config import AutoDatasetConfig
 
 
 @pytest.fixture
@@ -58,6 +61,34 @@ def test_a_run_is_rendered_and_measured(
     assert "PSNR                              30.00 dB" in text
     assert "Chamfer, point to surface         0.0199" in text
     assert "mask IoU" not in text
+
+
+def test_a_mesh_against_photographs(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    folder = write_capture(tmp_path / "capture")
+    write_ball(tmp_path / "larger.ply", 1.05)
+    words = ["--mesh", str(tmp_path / "larger.ply"), "--data", str(folder), "--consistency"]
+    evaluate([*words, "--json"])
+    found = json.loads(capsys.readouterr().out)["consistency"]
+    assert found["pairs"] == 6
+    assert found["residual_depth"] == pytest.approx(0.05 * RADIUS, rel=0.25)
+    assert 0 < found["residual_px"] < found["residual_p90_px"]
+    evaluate(words)
+    assert f"  as depth                        {found['residual_depth']:.5g}\n" in capsys.readouterr().out
+
+
+def test_a_run_against_its_photographs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    scene = AutoDatasetConfig().build(str(write_capture(tmp_path / "capture", truth=False))).load()
+    write_ball(tmp_path / "mesh.ply", 1.0)
+    finished = SimpleNamespace(
+        config=SimpleNamespace(reference=None), scene=scene, test_measures=lambda: {"psnr": None, "ssim": None}
+    )
+    monkeypatch.setattr(engine_run, "load_finished", lambda folder: finished)
+    evaluate([str(tmp_path), "--consistency", "--json"])
+    found = json.loads(capsys.readouterr().out)["consistency"]
+    assert found["pairs"] == 6
+    assert found["residual_depth"] < 0.02 * RADIUS
 
 
 @pytest.mark.parametrize(

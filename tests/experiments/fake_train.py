@@ -8,10 +8,13 @@
 14        finishes if another run of this seed is there at the same time
 15        leaves a checkpoint and is killed; refuses to be resumed, and finishes when it starts a second time
 16        finishes, but keeps no record of it
+
+Data with a file ``refused`` in their folder are; of data with ``result.ply`` that is the mesh.
 """
 
 import json
 import os
+import shutil
 import signal
 import sys
 import time
@@ -36,7 +39,9 @@ def main() -> None:
     seed = int(words[words.index("--seed") + 1]) if "--seed" in words else 0
     config = {"method": words[0], "data": words[2], "seed": seed, "words": words}
     (folder / "config.json").write_text(json.dumps(config))
-    act(seed, folder, root, resumed)
+    act(10 if Path(words[2], "refused").exists() else seed, folder, root, resumed)
+    if Path(words[2], "result.ply").exists():
+        shutil.copy(Path(words[2], "result.ply"), folder / "mesh.ply")
     finish(folder, "finished", words)
 
 

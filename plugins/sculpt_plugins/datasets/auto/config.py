@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from sculpt_framework.config import DatasetConfig
+from sculpt_framework.posed_images.options import MasksOption
 
 if TYPE_CHECKING:
     from sculpt_plugins.datasets.auto.dataset import AutoDataset
@@ -15,6 +16,8 @@ class AutoDatasetConfig(DatasetConfig):
 
     downscale: int | None = None
     """Read images at 1/N of their width and height; 0: as the memory allows; None: as the layout does by itself."""
+    masks: MasksOption | None = None
+    """Of layouts of photographs: what their own --dataset.masks says; None: as the layout does by itself."""
 
     def build(self, data: str) -> "AutoDataset":
         from sculpt_plugins.datasets.auto.dataset import AutoDataset

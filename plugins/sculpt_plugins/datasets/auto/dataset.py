@@ -7,6 +7,7 @@ from pathlib import Path
 from sculpt_framework.datasets import Dataset
 from sculpt_framework.errors import ConfigError, DataError
 from sculpt_framework.posed_images.folders import contents, scene_folder
+from sculpt_framework.posed_images.options import PhotographsConfig
 from sculpt_framework.types import Scene
 
 # Choosing among the plug-ins of its own slot is all this one does, so it names them; by their configs, which are cheap.
@@ -84,12 +85,20 @@ class AutoDataset(Dataset):
         if data == "demo" or data.startswith("demo:"):
             if config.downscale is not None:
                 raise ConfigError("--dataset.downscale is for photographs; give a demo --dataset.resolution instead.")
+            if config.masks is not None:
+                raise ConfigError("--dataset.masks is for photographs; demo scenes have masks of their own.")
             self.note = None
             self.chosen = DemoConfig().build(data)
             return
         layout = recognise(data)
         self.note = f"layout: {layout.name} (there is {layout.mark})."
         chosen = layout.config if config.downscale is None else replace(layout.config, downscale=config.downscale)
+        if config.masks is not None:
+            if not isinstance(chosen, PhotographsConfig):
+                raise ConfigError(
+                    f"--dataset.masks is for photographs; images of {layout.name} have an alpha channel instead."
+                )
+            chosen = replace(chosen, masks=config.masks)
         self.chosen = chosen.build(data)
 
     def load(self) -> Scene:

@@ -1,0 +1,331 @@
+"""How far the error without a reference can be trusted: beside the true error, on captures whose truth is known.
+
+    python docs/measure_trust.py DIR... --out OUT [--pairs 12] [--pixels 250000] [--seconds 60]
+
+DIR are captures with ``gt_mesh.ply``, as ``docs/make_captures.py`` renders them. Of each, meshes are made that are
+wrong in known ways: the truth roughened, pitted, moved, scaled, smoothed, low-passed, decimated or spoilt in one half,
+and what a run starts from (visual hull, photo hull) and has after ``--seconds``. Each is measured twice:
+``residual_depth`` by the photographs alone, and the distance to the truth over what the cameras see, point to surface.
+Lengths are in hundredths of half the longest side of the truth. Spearman's rank correlation over all meshes of all
+captures is printed, also by capture and for other readings of the residual, and OUT/trust.png shows each mesh.
+OUT/trust.csv keeps what is measured; a mesh that is in it is not made again.
+
+Of pits three cells of 128 wide it is asked what ``plain_roughness`` says where the photographs are of the smooth truth,
+and where they show the pits: the same photographs, darkened as a lamp from one side would shade the pits.
+"""
+
+import argparse
+import csv
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+import trimesh
+from scipy import ndimage, sparse
+from scipy.spatial import KDTree
+from scipy.stats import spearmanr
+from skimage.measure import marching_cubes
+
+from sculpt_framework import registry
+from sculpt_framework.config import DatasetConfig
+from sculpt_framework.engine.images import in_object_frame
+from sculpt_framework.errors import DataError
+from sculpt_framework.evaluation.charts import Axis, Series, line_drawing, series_colors
+from sculpt_framework.evaluation.consistency import PosedImages
+from sculpt_framework.evaluation.drawing import Drawing
+from sculpt_framework.evaluation.drawing_png import to_png
+from sculpt_framework.evaluation.geometry import MeasuredMesh
+from sculpt_framework.evaluation.mesh import Mesh, load_mesh
+from sculpt_framework.evaluation.visibility import seen_by_any, visible_distances
+from sculpt_framework.experiments.capture_measures import radius_of
+from sculpt_framework.export.decimation import decimate
+from sculpt_framework.export.mesh_files import vertex_normals
+from sculpt_framework.export.mesh_pixels import draw_mesh
+from sculpt_framework.shape_from_images.volume import sample
+from sculpt_framework.types import Scene, View
+
+FACES = 150_000
+"""Of the meshes that are spoilt: fine enough for three cells, and quick to measure."""
+CELL = 2 / 128
+"""Of a grid of 128 cells, in units of the radius."""
+SAMPLES = 50_000
+LAMP = np.array([0.36, -0.48, 0.8])
+COLUMNS = ("capture", "kind", "mesh", "error", "residual_depth", "residual_px", "residual_p90_px", "judged")
+Spoilt = Iterator[tuple[str, str, Callable[[], Mesh]]]
+"""Kinds, names, and how to make them."""
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("captures", nargs="+", type=Path, metavar="DIR")
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--pairs", type=int, default=12, help="pairs of views at most")
+    parser.add_argument("--pixels", type=int, default=250_000, help="of a view at most")
+    parser.add_argument("--seconds", type=float, default=60, help="for the run that is not finished")
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    for folder in options.captures:
+        measure_capture(folder, options.out, options.pairs, options.pixels, options.seconds)
+    rows = read_rows(options.out / "trust.csv")
+    (options.out / "trust.png").write_bytes(to_png(drawn(rows)))
+    sys.stdout.write("\n".join(summary(rows)) + "\n")
+    return 0
+
+
+def measure_capture(folder: Path, out: Path, pairs: int, pixels: int, seconds: float) -> None:
+    """Measure what has not been measured of a capture, a line each in OUT/trust.csv."""
+    config = registry.default("dataset", "auto")
+    if not isinstance(config, DatasetConfig):
+        raise TypeError("the default of the slot dataset is no dataset")
+    scene = config.build(str(folder)).load()
+    if scene.reference_mesh is None:
+        raise SystemExit(f"{folder}: no gt_mesh.ply; expected a capture whose truth is known.")
+    truth = load_mesh(scene.reference_mesh)
+    radius, reference = radius_of(truth), MeasuredMesh(truth, SAMPLES)
+    seen = seen_by_any(reference, [view.camera for view in scene.train])
+    center = scene.box.center.double().numpy()
+    images = PosedImages(scene.train, center, pairs_at_most=pairs, pixels_at_most=pixels)
+    known = {(row["capture"], row["mesh"]) for row in read_rows(out / "trust.csv")}
+    fine = with_faces(truth, radius)
+    for kind, name, make in (*spoilt(fine, radius), *starts(scene, folder, out, seconds)):
+        if (folder.name, name) in known:
+            continue
+        try:
+            mesh = make()
+        except DataError as error:
+            sys.stdout.write(f"{folder.name} {name}: left out, {error}\n")
+            continue
+        found = images.measure(mesh)
+        error = visible_distances(mesh, reference, seen).point_to_surface
+        lengths = [None if x is None else 100 * x / radius for x in (error, found.residual_depth)]
+        values = [*lengths, found.residual_px, found.residual_p90_px, found.judged]
+        append_row(out / "trust.csv", [folder.name, kind, name, *values])
+        sys.stdout.write(f"{folder.name} {name}: error, residual depth {lengths}\n")
+        sys.stdout.flush()
+    if not (out / f"relief-{folder.name}.txt").exists():
+        pits, relief = pits_and_relief(fine, radius, scene, center, pairs, pixels)
+        told = f"{folder.name}: plain roughness of pits {pits}, of relief {relief}\n"
+        (out / f"relief-{folder.name}.txt").write_text(told, encoding="utf-8")
+        sys.stdout.write(told)
+
+
+# -- meshes that are wrong in known ways -----------------------------------------------------------------------------
+
+
+def spoilt(truth: Mesh, radius: float) -> Spoilt:
+    """From the truth alone. Lengths in the names are percent of the radius, or cells of 128."""
+    normals = vertex_normals(truth.vertices, truth.faces)
+    generator = np.random.default_rng(1)
+    way = generator.normal(size=3)
+    way /= np.linalg.norm(way)
+
+    def off(heights: np.ndarray) -> Mesh:
+        return Mesh(vertices=truth.vertices + heights[:, None] * normals, faces=truth.faces)
+
+    yield "truth", "truth", lambda: truth
+    for cells, percent in ((3, 0.3), (3, 1.0), (8, 0.3), (8, 1.0), (25, 0.5), (25, 2.0)):
+        yield (
+            "rough",
+            f"rough-{cells}c-{percent}",
+            lambda cells=cells, percent=percent: off(percent / 100 * radius * waves(truth, cells * CELL * radius)),
+        )
+    for depth in (1.0, 2.0):
+        yield "pits", f"pits-{depth}c", lambda depth=depth: off(-pits(truth, radius, depth))
+    for percent in (0.2, 0.5, 1.0, 3.0):
+        vertices = truth.vertices + percent / 100 * radius * way
+        yield "moved", f"moved-{percent}", lambda vertices=vertices: Mesh(vertices=vertices, faces=truth.faces)
+    middle = truth.vertices.mean(axis=0)
+    for percent in (-2.0, 0.5, 1.0):
+        vertices = middle + (1 + percent / 100) * (truth.vertices - middle)
+        yield "scaled", f"scaled-{percent}", lambda vertices=vertices: Mesh(vertices=vertices, faces=truth.faces)
+    for rounds in (10, 60, 300):
+        yield "smoothed", f"smoothed-{rounds}", lambda rounds=rounds: smoothed(truth, rounds)
+    for cells in (2, 5):
+        yield "low-passed", f"low-passed-{cells}c", lambda cells=cells: low_passed(truth, cells)
+    for faces in (6000, 1500, 400):
+        yield "smoothed", f"decimated-{faces}", lambda faces=faces: fewer(truth, faces)
+    half = np.clip(10 * (truth.vertices - middle) @ way / radius, 0, 1)
+    for cells, percent in ((3, 1.0), (12, 2.0)):
+        yield (
+            "in one half",
+            f"half-{cells}c-{percent}",
+            lambda cells=cells, percent=percent: off(
+                percent / 100 * radius * half * waves(truth, cells * CELL * radius)
+            ),
+        )
+
+
+def starts(scene: Scene, folder: Path, out: Path, seconds: float) -> Spoilt:
+    """What runs start from, and what one has too early."""
+    for name in ("visual-hull", "photo-hull"):
+        yield "starts", name, lambda name=name: start(scene, name)
+    yield "starts", f"run-{seconds:g}s", lambda: unfinished_run(folder, out / f"run-{folder.name}", seconds)
+
+
+def start(scene: Scene, name: str) -> Mesh:
+    """The last thing an initializer makes, at 128 cells."""
+    cameras = [in_object_frame(view, scene.box) for view in scene.train]
+    device = torch.device("cpu")
+    targets = registry.default("initializer", name).build().targets(cameras, scene.box.half_sides, device)
+    *_, target = targets
+    x, y, z = (float(side) for side in scene.box.half_sides)
+    volume = sample(target, (x, y, z), 128, device)
+    values = np.pad(volume.values, 1, constant_values=float(volume.values.max()))
+    vertices, faces, _, _ = marching_cubes(values, 0.0)
+    points = np.asarray(volume.origin) + volume.cell * (vertices - 0.5)
+    world = scene.box.to_world(torch.from_numpy(points)).numpy()
+    return Mesh(vertices=np.ascontiguousarray(world), faces=faces[:, ::-1].astype(np.int64).copy())
+
+
+def unfinished_run(folder: Path, run: Path, seconds: float) -> Mesh:
+    """What the default method has made of the capture by then."""
+    if not (run / "mesh.ply").is_file():
+        words = ["gaussian-sculpting", "--data", str(folder), "--max-time", f"{seconds:g}", "--output", str(run)]
+        subprocess.run([sys.executable, "-m", "sculpt_framework.cli.train", *words], check=True, capture_output=True)
+    return load_mesh(run / "mesh.ply")
+
+
+def with_faces(mesh: Mesh, radius: float) -> Mesh:
+    """The surface in faces of about the same size, as many as FACES or somewhat more."""
+    edge = np.sqrt(4 / np.sqrt(3) * mesh.areas.sum() / FACES)
+    if len(mesh.faces) > FACES:
+        return fewer(mesh, FACES)
+    vertices, faces = trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, max(edge, 0.005 * radius))
+    merged = trimesh.Trimesh(vertices, faces, process=True)
+    return Mesh(vertices=np.array(merged.vertices), faces=np.array(merged.faces, np.int64))
+
+
+def waves(mesh: Mesh, length: float) -> np.ndarray:
+    """Heights at the vertices: waves of one length in many directions, of mean square 1."""
+    generator = np.random.default_rng(5)
+    ways = generator.normal(size=(3, 60))
+    ways *= 2 * np.pi / (length * np.linalg.norm(ways, axis=0))
+    return np.sqrt(2 / 60) * np.sin(mesh.vertices @ ways + generator.uniform(0, 6, 60)).sum(axis=1)
+
+
+def pits(mesh: Mesh, radius: float, depth: float) -> np.ndarray:
+    """Depths at the vertices: round pits three cells wide, as many as fit side by side at random places, so many cells
+    deep."""
+    generator = np.random.default_rng(7)
+    wide = 3 * CELL * radius
+    count = int(0.5 * mesh.areas.sum() / wide**2)
+    places = generator.choice(len(mesh.vertices), min(count, len(mesh.vertices)), replace=False)
+    away, _ = KDTree(mesh.vertices[places]).query(mesh.vertices)
+    return depth * CELL * radius * np.maximum(0, 1 - (2 * away / wide) ** 2)
+
+
+def smoothed(mesh: Mesh, rounds: int) -> Mesh:
+    """Each vertex goes half the way to the mean of its neighbours, so many times."""
+    ends = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]])
+    both = np.concatenate([ends, ends[:, ::-1]])
+    count = len(mesh.vertices)
+    near = sparse.coo_array((np.ones(len(both)), (both[:, 0], both[:, 1])), shape=(count, count)).tocsr()
+    degree = np.maximum(near.sum(axis=1), 1)[:, None]
+    vertices = mesh.vertices
+    for _ in range(rounds):
+        vertices = 0.5 * vertices + 0.5 * (near @ vertices) / degree
+    return Mesh(vertices=np.ascontiguousarray(vertices), faces=mesh.faces)
+
+
+def low_passed(mesh: Mesh, cells: float) -> Mesh:
+    """What is left of the solid after a Gaussian of so many cells of 128."""
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    cell = CELL * radius_of(mesh)
+    solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).voxelized(cell).fill().matrix.astype(np.float32)
+    blurred = ndimage.gaussian_filter(np.pad(solid, 12), cells)
+    vertices, faces, _, _ = marching_cubes(blurred, 0.5)
+    made = trimesh.Trimesh((vertices - 12) * cell, faces[:, ::-1])
+    # Back in place: the middle of the box of what the voxels hold is that of the mesh.
+    filled = np.argwhere(solid)
+    made.vertices += 0.5 * (low + high) - 0.5 * cell * (filled.min(axis=0) + filled.max(axis=0))
+    return Mesh(vertices=np.array(made.vertices), faces=np.array(made.faces, np.int64))
+
+
+def fewer(mesh: Mesh, faces: int) -> Mesh:
+    vertices, kept = decimate(mesh.vertices, mesh.faces, faces)
+    return Mesh(vertices=vertices, faces=kept)
+
+
+# -- pits and relief -------------------------------------------------------------------------------------------------
+
+
+def pits_and_relief(
+    truth: Mesh, radius: float, scene: Scene, center: np.ndarray, pairs: int, pixels: int
+) -> tuple[float | None, float | None]:
+    """``plain_roughness`` of a pitted mesh, by the photographs of the smooth truth and by those that show the pits."""
+    normals = vertex_normals(truth.vertices, truth.faces)
+    pitted = Mesh(vertices=truth.vertices - pits(truth, radius, 1.0)[:, None] * normals, faces=truth.faces)
+    shown = [with_relief(view, truth, pitted) for view in scene.train]
+    both = [PosedImages(each, center, pairs_at_most=pairs, pixels_at_most=pixels) for each in (scene.train, shown)]
+    found = [images.measure(pitted).plain_roughness for images in both]
+    return found[0], found[1]
+
+
+def with_relief(view: View, smooth: Mesh, relief: Mesh) -> View:
+    """The photograph times how much brighter the relief is than the smooth surface under one lamp."""
+    shades = []
+    for mesh in (smooth, relief):
+        drawn = draw_mesh(mesh.vertices, mesh.faces, view.camera)
+        light = 0.55 + 0.45 * vertex_normals(mesh.vertices, mesh.faces) @ LAMP
+        shade = drawn.interpolate(mesh.faces, np.repeat(light[:, None], 3, axis=1))
+        shades.append(np.where((drawn.face >= 0)[..., None], shade, np.nan))
+    ratio = np.nan_to_num(shades[1] / shades[0], nan=1.0).astype(np.float32)
+    return replace(view, rgb=(view.rgb * torch.from_numpy(ratio)).clamp(0, 1))
+
+
+# -- what comes out --------------------------------------------------------------------------------------------------
+
+
+def append_row(path: Path, values: Sequence[object]) -> None:
+    new = not path.exists()
+    with open(path, "a", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        if new:
+            writer.writerow(COLUMNS)
+        writer.writerow(["" if value is None else value for value in values])
+
+
+def read_rows(path: Path) -> list[Mapping[str, str]]:
+    if not path.exists():
+        return []
+    with open(path, encoding="utf-8") as lines:
+        return list(csv.DictReader(lines))
+
+
+def drawn(rows: Sequence[Mapping[str, str]]) -> Drawing:
+    """A dot for each mesh, in a colour for each kind."""
+    series = [
+        Series(name=row["kind"], points=[(float(row["error"]), float(row["residual_depth"]))], style="mark")
+        for row in complete(rows)
+    ]
+    title = f"{len(series)} meshes of {len({row['capture'] for row in rows})} captures"
+    x = Axis(label="distance to the truth where it is seen, 1e-2 radius (log)", log=True)
+    y = Axis(label="residual depth, 1e-2 radius (log)", log=True)
+    return line_drawing(title, series, x, y, colors=series_colors(series), legend=True)
+
+
+def summary(rows: Sequence[Mapping[str, str]]) -> list[str]:
+    """Rank correlations: over everything, by capture, and of other readings of the residual."""
+    known = complete(rows)
+    out = [f"{name}: {correlation(known, name):.3f} over {len(known)} meshes" for name in COLUMNS[4:7]]
+    for capture in dict.fromkeys(row["capture"] for row in known):
+        own = [row for row in known if row["capture"] == capture]
+        out.append(f"residual_depth, {capture}: {correlation(own, 'residual_depth'):.3f} over {len(own)}")
+    return out
+
+
+def complete(rows: Sequence[Mapping[str, str]]) -> list[Mapping[str, str]]:
+    return [row for row in rows if row["error"] and row["residual_depth"]]
+
+
+def correlation(rows: Sequence[Mapping[str, str]], name: str) -> float:
+    pairs = np.array([(float(row["error"]), float(row[name])) for row in rows])
+    return float(spearmanr(pairs[:, 0], pairs[:, 1]).statistic)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -10,6 +10,7 @@ order, or on the number of threads.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from threading import Lock
 
 import numpy as np
 from jaxtyping import Float32, Int64
@@ -148,10 +149,13 @@ class _Adder:
 
     def __init__(self, tell: Callable[[float], None], start: float, share: float):
         self._tell, self._sum, self._share = tell, start, share
+        # Views are done in threads.
+        self._lock = Lock()
 
     def __call__(self) -> None:
-        self._sum += self._share
-        self._tell(min(1.0, self._sum))
+        with self._lock:
+            self._sum += self._share
+            self._tell(min(1.0, self._sum))
 
 
 def _blank(stack: StereoViews, solid: Volume) -> _Planes:

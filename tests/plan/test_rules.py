@@ -5,11 +5,12 @@ from dataclasses import replace
 import pytest
 from planned_scenes import decided, method
 
-from sculpt_framework.config import PlanConfig
+from sculpt_framework.config import InitializerConfig, MethodConfig, PlanConfig
 from sculpt_framework.plan.directions import Gloss
 from sculpt_framework.plan.evidence import Evidence
 from sculpt_framework.plan.make import decide
-from sculpt_framework.plan.options import with_options
+from sculpt_framework.plan.options import option_of, with_options
+from sculpt_framework.plan.rules import HELD_RATE, HELD_STEPS, SURFACE_RATES, UNEVEN_COLORS, UNEVEN_LIGHT
 from sculpt_framework.registry import name_of
 
 USUAL = Evidence(
@@ -43,6 +44,71 @@ def test_stereo_only_where_colours_say_something() -> None:
     config, changed = decided(replace(USUAL, speaking=0.01))
     assert name_of(config.initializer) == "visual-hull"
     assert changed["stereo"].spared == {"depth maps": 50.0}
+
+
+def uneven(share: float) -> Evidence:
+    return replace(USUAL, gloss=Gloss(strength=0.01, points=800, unevenness=share))
+
+
+def surface_rates(config: MethodConfig) -> list[float]:
+    rates = [option_of(getattr(config, slot), option) for slot, option in SURFACE_RATES]
+    return [rate for rate in rates if rate is not None]
+
+
+def test_equal_colours_are_compared_where_light_is_even() -> None:
+    config, changed = decided(uneven(0.99 * UNEVEN_COLORS))
+    assert name_of(config.initializer) == "photo-hull"
+    assert not {"stereo", "light"} & set(changed)
+
+
+def test_correlation_is_compared_where_colours_differ() -> None:
+    config, changed = decided(uneven(1.01 * UNEVEN_COLORS))
+    assert name_of(config.initializer) == "stereo"
+    assert option_of(config.initializer, "max_views") == option_of(method().initializer, "max_views")
+    assert changed["stereo"].measured["unevenness"] == 1.01 * UNEVEN_COLORS
+    # They do not differ so much that the surface would be drawn away.
+    assert "light" not in changed
+    assert surface_rates(config) == surface_rates(method())
+
+
+def test_the_surface_is_held_where_light_is_uneven() -> None:
+    config, changed = decided(uneven(1.01 * UNEVEN_LIGHT))
+    assert name_of(config.initializer) == "stereo"
+    assert surface_rates(config) == pytest.approx([HELD_RATE * rate for rate in surface_rates(method())])
+    assert len(surface_rates(config)) >= 2
+    steps = method().trainer.outer_steps
+    assert config.trainer.outer_steps == min(HELD_STEPS, steps)
+    assert changed["light"].spared == {"outer steps": steps - config.trainer.outer_steps}
+
+
+def test_neither_correlation_nor_light_without_texture_or_evidence() -> None:
+    config, changed = decided(replace(uneven(0.1), speaking=0.01))
+    assert name_of(config.initializer) == "visual-hull"
+    assert "light" not in changed
+    config, changed = decided(replace(USUAL, gloss=None))
+    assert name_of(config.initializer) == "photo-hull"
+    assert not {"stereo", "light"} & set(changed)
+
+
+def test_the_users_start_and_rates_are_kept_in_uneven_light() -> None:
+    start = registry.default("initializer", "visual-hull")
+    assert isinstance(start, InitializerConfig)
+    config, changed = decided(uneven(0.1), replace(method(), initializer=start))
+    assert name_of(config.initializer) == "visual-hull"
+    assert not {"stereo", "light"} & set(changed)
+    slot, option = next(pair for pair in SURFACE_RATES if option_of(getattr(method(), pair[0]), pair[1]) is not None)
+    given = with_options(method(), slot, **{option: 0.123})
+    config, changed = decided(uneven(0.1), given)
+    assert surface_rates(config) == surface_rates(given)
+    assert config.trainer.outer_steps == given.trainer.outer_steps
+    assert set(changed) & {"stereo", "light"} == {"stereo"}
+
+
+def test_holding_the_surface_is_switched_by_itself() -> None:
+    config, changed = decided(uneven(0.1), replace(method(), plan=PlanConfig(mode="on", light="off")))
+    assert name_of(config.initializer) == "stereo"
+    assert surface_rates(config) == surface_rates(method())
+    assert "light" not in changed
 
 
 def test_views_that_show_nothing_new_are_left_out_and_priced() -> None:

@@ -1,0 +1,142 @@
+"""From depth maps to a shape, and the initializer that does all of it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from exact_views import DentedBall, exact_maps, fan, photograph, truth_of
+
+from sculpt_framework.demo_scenes.cameras import demo_cameras
+from sculpt_framework.errors import DataError
+from sculpt_framework.multi_view_stereo.depth_maps import DepthMaps, StereoOptions, find_depths
+from sculpt_framework.multi_view_stereo.fusion import fuse
+from sculpt_framework.multi_view_stereo.stereo_views import stereo_views
+from sculpt_framework.shape_from_images.hull import visual_hull
+from sculpt_framework.shape_from_images.volume import Volume, sample
+from sculpt_framework.types import View
+from sculpt_plugins.initializers.stereo.config import StereoConfig
+
+CPU = torch.device("cpu")
+BALL = DentedBall()
+CELLS = 48
+
+
+@pytest.fixture(scope="module")
+def views() -> list[View]:
+    return [photograph(BALL, camera, masked=True) for camera in demo_cameras(30, 96, placement="above")]
+
+
+@pytest.fixture(scope="module")
+def solid(views: list[View]) -> Volume:
+    return sample(visual_hull(views, 100, CPU), (1.0, 1.0, 1.0), CELLS, CPU)
+
+
+@pytest.fixture(scope="module")
+def maps(views: list[View], solid: Volume) -> DepthMaps:
+    return find_depths(views, solid, StereoOptions(pixels=66, neighbours=8, agreeing=2))
+
+
+def in_dent(volume: Volume) -> np.ndarray:
+    """Errors, in cells, of a signed distance at the bottom of the dent."""
+    points = volume.points
+    deep = (np.abs(BALL.distance(points)) < volume.cell) & (np.hypot(points[:, 0], points[:, 1]) < 0.25)
+    deep &= (points[:, 2] > 0.3) & (points[:, 2] < 0.6)
+    assert deep.sum() > 30
+    return np.abs(volume.values.reshape(-1) - BALL.distance(points))[deep] / volume.cell
+
+
+def test_depths_of_a_ball_with_a_dent(maps: DepthMaps) -> None:
+    known, truth = maps.depths > 0, truth_of(BALL, maps.views)
+    off = np.abs(maps.depths - truth.depths)[known]
+    assert maps.known > 0.6
+    assert np.median(off) < 0.02
+    assert np.mean(off < 0.08) > 0.93
+
+
+def test_the_dent_is_dug_and_nothing_grows_out_of_the_hull(solid: Volume, maps: DepthMaps) -> None:
+    shape = fuse(solid, maps)
+    assert in_dent(solid).mean() > 2.5
+    assert in_dent(shape).mean() < 0.6
+    assert not ((shape.values < 0) & (solid.values > 0)).any()
+    side = (np.abs(BALL.distance(solid.points)) < solid.cell) & (np.abs(solid.points[:, 2]) < 0.3)
+    assert np.abs(shape.values.reshape(-1) - BALL.distance(solid.points))[side].mean() < 0.7 * solid.cell
+
+
+def test_exact_depths_give_the_exact_shape(solid: Volume, maps: DepthMaps) -> None:
+    """What is left is the error of fusing."""
+    assert in_dent(fuse(solid, exact_maps(BALL, maps.views))).mean() < 0.25
+
+
+def unknown(maps: DepthMaps) -> DepthMaps:
+    return replace(maps, depths=np.zeros_like(maps.depths), confidence=np.zeros_like(maps.confidence))
+
+
+def test_what_is_unknown_stays_as_the_hull(solid: Volume, maps: DepthMaps) -> None:
+    shape = fuse(solid, unknown(maps))
+    near = np.abs(solid.values) < solid.cell
+    assert np.median(np.abs(shape.values - solid.values)[near]) < 0.3 * solid.cell
+    assert np.mean((shape.values < 0) != (solid.values < 0)) < 0.01
+
+
+def ball(radius: float, cells: int = 40) -> Volume:
+    x, y, z = np.meshgrid(*[np.linspace(-1, 1, cells + 1)] * 3, indexing="ij")
+    values = np.sqrt(x**2 + y**2 + z**2) - radius
+    return Volume(values=values.astype(np.float32), origin=(-1 - 1 / cells,) * 3, cell=2 / cells)
+
+
+def test_bubbles_are_filled_and_crumbs_removed(maps: DepthMaps) -> None:
+    whole = ball(0.6)
+    far = np.linalg.norm(whole.points, axis=1).reshape(whole.shape)
+    crumb = np.linalg.norm(whole.points - 0.8, axis=1).reshape(whole.shape) - 0.06
+    holed = whole.holding(np.minimum(np.maximum(whole.values, 0.2 - far), crumb).astype(np.float32))
+    assert (holed.values[far < 0.1] > 0).any()
+    assert (holed.values[far > 0.9] < 0).any()
+    shape = fuse(holed, unknown(maps))
+    assert (shape.values[far < 0.5] < 0).all()
+    assert (shape.values[far > 0.7] > 0).all()
+
+
+@pytest.mark.parametrize(("many", "few"), [(0.6, 0.74), (0.74, 0.6)])
+def test_of_two_camps_the_larger_counts(many: float, few: float) -> None:
+    """Eight views see one ball, three another: the surface is the one, not between."""
+    cameras = [*fan(), *fan()[:2]]
+    stack = stereo_views([photograph(DentedBall(dent=0.0), camera, masked=True) for camera in cameras], 32.0)
+    right, wrong = (exact_maps(DentedBall(radius=radius, dent=0.0), stack) for radius in (many, few))
+    other = np.isin(np.arange(len(stack)), (1, 5, 9))
+    told = replace(
+        right,
+        depths=np.where(other[:, None, None], wrong.depths, right.depths),
+        normals=np.where(other[:, None, None, None], wrong.normals, right.normals),
+        confidence=np.where(other[:, None, None], wrong.confidence, right.confidence),
+    )
+    shape = fuse(ball(0.8), told)
+    middle = shape.shape[0] // 2
+    along = shape.values[middle, middle, middle:]
+    surface = np.interp(0.0, along, np.arange(len(along)) * shape.cell)
+    assert surface == pytest.approx(many, abs=0.5 * shape.cell)
+
+
+def test_the_initializer_digs_within_the_hull(views: list[View]) -> None:
+    config = StereoConfig(cells=CELLS, pixels=66)
+    hull, target = config.build().targets(views, torch.ones(3), CPU)
+    dense = sample(hull, (1.0, 1.0, 1.0), CELLS, CPU)
+    points = torch.from_numpy(dense.points)
+    assert bool((target(points) >= hull(points)).all())
+    assert in_dent(dense.holding(target(points).numpy().reshape(dense.shape))).mean() < 0.6
+
+
+def test_two_views_give_the_hull(views: list[View], caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO", "sculpt")
+    pair = [photograph(BALL, camera, masked=True) for camera in fan()[4:6]]
+    (target,) = StereoConfig(cells=32, pixels=32).build().targets(pair, torch.ones(3), CPU)
+    hull = visual_hull(pair, 100, CPU)
+    points = torch.from_numpy(ball(0.8).points)
+    assert torch.equal(target(points), hull(points))
+    assert "start from the visual hull" in caplog.text
+
+
+def test_no_masks_are_refused(views: list[View]) -> None:
+    bare = [replace(view, alpha=None) for view in views[:3]]
+    with pytest.raises(DataError, match="--initializer sphere"):
+        next(StereoConfig().build().targets(bare, torch.ones(3), CPU))

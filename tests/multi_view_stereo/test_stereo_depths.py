@@ -183,9 +183,9 @@ def test_images_of_different_sizes_are_stacked_and_empty_masks_left_out() -> Non
     assert stack.relative(0, np.array([0])) == pytest.approx(np.eye(4)[None, :3], abs=1e-6)
     # Cut and stacked pixels still lie where the cameras say.
     truth = truth_of(ball, stack)
-    assert stack.luminance[0][truth.depths[0] > 0] == pytest.approx(
-        waves(truth.points[0][truth.depths[0] > 0]), abs=0.15
-    )
+    hits = truth.depths > 0
+    off = np.abs(stack.luminance[hits] - waves(truth.points[hits]))
+    assert np.median(off[: hits[0].sum()]) < 0.02
 
 
 def test_images_are_reduced_but_never_enlarged(slanted: list[View]) -> None:

@@ -110,7 +110,7 @@ def test_the_command_writes_all_views_and_a_sheet(
     assert not out.exists()
     _run(monkeypatch, "depths", tmp_path / "scene", "--out", out, "--pixels", 32)
     assert len(list(out.rglob("*.npz"))) == 24
-    assert cv2.imread(str(tmp_path / "depths-sheet.png")).shape == (8 * 150, 9 * 150, 3)
+    assert np.asarray(cv2.imread(str(tmp_path / "depths-sheet.png"))).shape == (8 * 150, 9 * 150, 3)
     assert "depths of 24 views" in capsys.readouterr().out
     with pytest.raises(OutputError, match="not empty"):
         _run(monkeypatch, "depths", tmp_path / "scene", "--out", out)

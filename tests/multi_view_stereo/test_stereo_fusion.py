@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from exact_views import DentedBall, exact_maps, fan, photograph, truth_of
+from exact_views import DentedBall, ball, exact_maps, fan, photograph, truth_of
 
 from sculpt_framework.demo_scenes.cameras import demo_cameras
 from sculpt_framework.errors import DataError
@@ -66,12 +66,6 @@ def test_the_dent_is_dug_and_nothing_grows_out_of_the_hull(solid: Volume, maps: 
 def test_exact_depths_give_the_exact_shape(solid: Volume, maps: DepthMaps) -> None:
     """What is left is the error of fusing."""
     assert in_dent(fuse(solid, exact_maps(BALL, maps.views))).mean() < 0.25
-
-
-def ball(radius: float, cells: int = 40) -> Volume:
-    x, y, z = np.meshgrid(*[np.linspace(-1, 1, cells + 1)] * 3, indexing="ij")
-    values = np.sqrt(x**2 + y**2 + z**2) - radius
-    return Volume(values=values.astype(np.float32), origin=(-1 - 1 / cells,) * 3, cell=2 / cells)
 
 
 def nothing_known() -> DepthMaps:

@@ -2,7 +2,7 @@
 
 import argparse
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
@@ -31,6 +31,8 @@ def data() -> None:
         _say(demo_list())
     elif arguments.command == "masks":
         _say(write_masks(arguments.folder, arguments.out, arguments.downscale))
+    elif arguments.command == "depths":
+        _say(write_depth_maps(arguments.folder, arguments.out, arguments.pixels, arguments.downscale))
     else:
         _say(inspect(arguments.folder, arguments.picture, arguments.downscale))
 
@@ -79,11 +81,10 @@ def write_masks(folder: str, out: Path, downscale: int | None) -> list[str]:
     """Masks of all views as they would be used, and a sheet of them. Raises DataError, OutputError."""
     import numpy as np
 
-    from sculpt_framework.errors import DataError, OutputError
+    from sculpt_framework.errors import DataError
     from sculpt_framework.posed_images.contact_sheet import contact_sheet
 
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise OutputError(f"{out}: exists and is not empty; give a new or an empty folder with --out.")
+    _check_new(out)
     scene = _load(folder, downscale)
     masked = [view for view in (*scene.train, *scene.test) if view.alpha is not None]
     if not masked:
@@ -101,6 +102,49 @@ def write_masks(folder: str, out: Path, downscale: int | None) -> list[str]:
         f"{sheet}: the masks over their images",
         *(f"note: {n}" for n in scene.notes),
     ]
+
+
+def write_depth_maps(folder: str, out: Path, pixels: int, downscale: int | None) -> list[str]:
+    """Depths, normals and confidence of all train views, and a sheet. Raises ConfigError, DataError, OutputError."""
+    import numpy as np
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from sculpt_framework.errors import ConfigError
+    from sculpt_framework.multi_view_stereo.depth_maps import StereoOptions
+    from sculpt_framework.multi_view_stereo.files import depth_sheet, scene_depths, write_depths
+
+    usual = _stereo_defaults()
+    if pixels < 1:
+        raise ConfigError(f"--pixels {pixels}: expected 1 or more; leave it out for {usual['pixels']}.")
+    _check_new(out)
+    options = StereoOptions(pixels=pixels, neighbours=usual["neighbours"], agreeing=usual["agreeing"])
+    scene = _load(folder, downscale)
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
+        task = progress.add_task("finding depths", total=1.0)
+        found = scene_depths(scene, options, usual["cells"], lambda share: progress.update(task, completed=share))
+    for each in found:
+        write_depths(each, out)
+    sheet = out.with_name(f"{out.name}-sheet.png")
+    _write_picture(sheet, depth_sheet(found))
+    known = np.concatenate([each.known.reshape(-1) for each in found]).mean()
+    return [
+        f"{out}: depths of {len(found)} views, known at {100 * known:.0f} % of their pixels",
+        f"{sheet}: images, depths and confidence",
+        *(f"note: {n}" for n in scene.notes),
+    ]
+
+
+def _stereo_defaults() -> Mapping[str, int]:
+    return vars(registry.default("initializer", "stereo"))
+
+
+def _check_new(folder: Path) -> None:
+    from sculpt_framework.errors import OutputError
+
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise OutputError(f"{folder}: exists and is not empty; give a new or an empty folder with --out.")
 
 
 def _load(folder: str, downscale: int | None) -> "Scene":
@@ -169,7 +213,13 @@ def _parser() -> argparse.ArgumentParser:
     masks = commands.add_parser("masks", help="write the masks a run would use, to look at and to mend")
     masks.add_argument("folder", metavar="DIR", help="scene folder")
     masks.add_argument("--out", type=Path, metavar="FOLDER", required=True, help="new or empty folder")
-    for command in (card, masks):
+    depths = commands.add_parser("depths", help="write depths, normals and confidence found by multi-view stereo")
+    depths.add_argument("folder", metavar="DIR", help="scene folder, or demo:NAME")
+    depths.add_argument("--out", type=Path, metavar="FOLDER", required=True, help="new or empty folder")
+    pixels = _stereo_defaults()["pixels"]
+    size = f"along the object's longest side, at most (default: {pixels}); never finer than the images"
+    depths.add_argument("--pixels", type=int, default=pixels, metavar="N", help=size)
+    for command in (card, masks, depths):
         command.add_argument("--downscale", type=int, metavar="N", help="read images at 1/N of their sides")
     return parser
 

@@ -204,7 +204,7 @@ def _at_finer(planes: _Planes, coarse: StereoViews, fine: StereoViews) -> _Plane
 def _sweep(
     stack: StereoViews,
     planes: _Planes,
-    others: Sequence[Int64[np.ndarray, " n"]],
+    others: Sequence[Int64[np.ndarray, " _"]],
     each: _Round,
     seed: int,
     tell: Callable[[], None],
@@ -225,7 +225,7 @@ def _sweep(
     in_threads(improve, range(len(stack)))
 
 
-def _believed(stack: StereoViews, planes: _Planes, others: Sequence[Int64[np.ndarray, " n"]], least: int) -> DepthMaps:
+def _believed(stack: StereoViews, planes: _Planes, others: Sequence[Int64[np.ndarray, " _"]], least: int) -> DepthMaps:
     shape = stack.luminance.shape
     agreeing, against = np.zeros(shape, np.int32), np.zeros(shape, np.int32)
 

@@ -41,6 +41,10 @@ class StereoViews:
     poses: Float32[np.ndarray, "v 3 4"]
     lenses: Float32[np.ndarray, "v 4"]
     positions: Float32[np.ndarray, "v 3"]
+    sizes: Int64[np.ndarray, "v 2"]
+    """Rows and columns of the images in their corners."""
+    given: Int64[np.ndarray, " v"]
+    """Which of the views that were given these are: some may have been left out."""
 
     def __len__(self) -> int:
         return len(self.luminance)
@@ -51,7 +55,7 @@ class StereoViews:
         turned = self.poses[others, :, :3].astype(float) @ rotation.T
         return np.concatenate([turned, self.poses[others, :, 3:] - (turned @ translation)[..., None]], 2).astype("f4")
 
-    def neighbours(self, count: int) -> list[Int64[np.ndarray, " n"]]:
+    def neighbours(self, count: int) -> list[Int64[np.ndarray, " _"]]:
         """For each view at most ``count`` others that it is best compared with, the best first.
 
         Best is an angle of some 12 degrees, as seen from the origin, and not to stand where another of them does: from
@@ -94,6 +98,7 @@ def stereo_views(views: Sequence[View], pixels_per_unit: float) -> StereoViews:
     """
     prepared = in_threads(lambda view: _prepare(view, pixels_per_unit), views)
     parts = [part for part in prepared if part is not None]
+    given = [index for index, part in enumerate(prepared) if part is not None]
     height = max((part.luminance.shape[0] for part in parts), default=0)
     width = max((part.luminance.shape[1] for part in parts), default=0)
     luminance = np.zeros((len(parts), height, width), np.float32)
@@ -114,6 +119,8 @@ def stereo_views(views: Sequence[View], pixels_per_unit: float) -> StereoViews:
         poses=np.array(poses, np.float32).reshape(-1, 3, 4),
         lenses=np.array(lenses, np.float32).reshape(-1, 4),
         positions=np.array(positions, np.float32).reshape(-1, 3),
+        sizes=np.array([part.luminance.shape for part in parts], np.int64).reshape(-1, 2),
+        given=np.array(given, np.int64),
     )
 
 

@@ -149,7 +149,15 @@ def photograph(surface: Surface, camera: Camera, luminance: Luminance = waves, *
 def box(half_side: float = 1.0, cells: int = 32) -> Volume:
     """All of a cube is solid."""
     values = np.full((cells,) * 3, -1, np.float32)
-    return Volume(values=values, origin=(-half_side,) * 3, cell=2 * half_side / cells)
+    return Volume(values=values, origin=(-half_side, -half_side, -half_side), cell=2 * half_side / cells)
+
+
+def ball(radius: float, cells: int = 40) -> Volume:
+    """The signed distance of a ball around the origin."""
+    x, y, z = np.meshgrid(*[np.linspace(-1, 1, cells + 1)] * 3, indexing="ij")
+    values = np.sqrt(x**2 + y**2 + z**2) - radius
+    start = -1 - 1 / cells
+    return Volume(values=values.astype(np.float32), origin=(start, start, start), cell=2 / cells)
 
 
 def _local(height: int, width: int, lens: np.ndarray) -> np.ndarray:

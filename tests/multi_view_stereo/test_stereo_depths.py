@@ -6,13 +6,25 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from exact_views import DentedBall, Plane, Step, box, camera_at, exact_maps, fan, off_by, photograph, truth_of, waves
+from exact_views import (
+    DentedBall,
+    Plane,
+    Step,
+    ball,
+    box,
+    camera_at,
+    exact_maps,
+    fan,
+    off_by,
+    photograph,
+    truth_of,
+    waves,
+)
 
 from sculpt_framework.cpu_kernels import share_threads
 from sculpt_framework.multi_view_stereo.depth_maps import DepthMaps, StereoOptions, _blank, find_depths
 from sculpt_framework.multi_view_stereo.fusion import fuse
 from sculpt_framework.multi_view_stereo.stereo_views import stereo_views
-from sculpt_framework.shape_from_images.volume import Volume
 from sculpt_framework.types import View
 
 OPTIONS = StereoOptions(pixels=64, neighbours=6, agreeing=2)
@@ -170,9 +182,9 @@ def test_the_same_bits_with_any_number_of_threads(slanted: list[View]) -> None:
 
 def test_images_of_different_sizes_are_stacked_and_empty_masks_left_out() -> None:
     cameras = fan()
-    ball = DentedBall()
-    large = photograph(ball, cameras[0], masked=True)
-    small = photograph(ball, cameras[1].resized(32, 32), masked=True)
+    dented = DentedBall()
+    large = photograph(dented, cameras[0], masked=True)
+    small = photograph(dented, cameras[1].resized(32, 32), masked=True)
     bare = photograph(Plane(), cameras[2].resized(48, 48))
     empty = replace(large, alpha=torch.zeros(64, 64))
     stack = stereo_views([large, empty, small, bare], 1000.0)
@@ -182,10 +194,10 @@ def test_images_of_different_sizes_are_stacked_and_empty_masks_left_out() -> Non
     assert stack.inside[2].sum() == 48 * 48
     assert stack.relative(0, np.array([0])) == pytest.approx(np.eye(4)[None, :3], abs=1e-6)
     # Cut and stacked pixels still lie where the cameras say.
-    truth = truth_of(ball, stack)
-    assert stack.luminance[0][truth.depths[0] > 0] == pytest.approx(
-        waves(truth.points[0][truth.depths[0] > 0]), abs=0.15
-    )
+    truth = truth_of(dented, stack)
+    hits = truth.depths > 0
+    off = np.abs(stack.luminance[hits] - waves(truth.points[hits]))
+    assert np.median(off[: hits[0].sum()]) < 0.02
 
 
 def test_images_are_reduced_but_never_enlarged(slanted: list[View]) -> None:
@@ -210,16 +222,14 @@ def test_neighbours_stand_at_a_useful_angle() -> None:
 
 
 def test_bounds_enclose_what_is_solid() -> None:
-    x, y, z = np.meshgrid(*[np.linspace(-1, 1, 33)] * 3, indexing="ij")
-    values = (np.sqrt(x**2 + y**2 + z**2) - 0.8).astype(np.float32)
-    solid = Volume(values=values, origin=(-1 - 1 / 32,) * 3, cell=1 / 16)
-    ball = DentedBall(dent=0.0)
-    stack = stereo_views([photograph(ball, camera, masked=True) for camera in fan()[:2]], 32.0)
-    planes, exact = _blank(stack, solid), exact_maps(ball, stack).depths
+    solid = ball(0.8, cells=32)
+    surface = DentedBall(dent=0.0)
+    stack = stereo_views([photograph(surface, camera, masked=True) for camera in fan()[:2]], 32.0)
+    planes, exact = _blank(stack, solid), exact_maps(surface, stack).depths
     hits = exact > 0
     assert (planes.nearest[hits] <= exact[hits]).all()
     assert (planes.farthest[hits] > exact[hits]).all()
     # Not by more than the cells' corners and the cell that is added, where the ray does not graze.
-    middle = np.abs(exact_maps(ball, stack).normals[..., 2]) > 0.5
+    middle = np.abs(exact_maps(surface, stack).normals[..., 2]) > 0.5
     assert (exact - planes.nearest)[hits & middle].max() < 4.5 * solid.cell
     assert (planes.farthest[~stack.inside] == 0).all()

@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 from planned_scenes import decided, method
 
+from sculpt_framework import registry
 from sculpt_framework.config import InitializerConfig, MethodConfig, PlanConfig
 from sculpt_framework.plan.directions import Gloss
 from sculpt_framework.plan.evidence import Evidence

@@ -45,7 +45,7 @@ def small(mode: str = "on", **trainer: object) -> MethodConfig:
 
 def test_the_default_is_planned_and_the_yardstick_is_not() -> None:
     assert set(registry.load_method("gaussian-sculpting")().plan.items) == {
-        *("silhouette", "stereo", "views", "level", "images", "refinement", "sh_degree"),
+        *("silhouette", "stereo", "light", "views", "level", "images", "refinement", "sh_degree"),
         *("gaussians", "constraints", "places", "polish"),
     }
     for name in ("gaussian-sculpting-everything", "gaussian-sculpting-paper", "gaussian-sculpting-tiny"):

@@ -5,8 +5,7 @@ The surface is the zero of the volume u that minimises (Zach, Pock and Bischof 2
     sum over cells of  |grad u|_a + w |u - f|_b,     u >= the visual hull's distance where that is positive.
 
 f is the signed distance to what the views see, w how sure they are of it together. Where no view knows, f is the
-distance to the shape known before, with little weight beside what is known, where the surface goes on smoothly, and
-with more of it further away.
+distance to the shape known before, with little weight: there the surface bends as little as possible.
 """
 
 from pathlib import Path
@@ -28,9 +27,8 @@ seen from both sides."""
 _SURE, _SURE_EMPTY = 30.0, 4.0
 """Confidence of all views together after which more does not make a cell surer: near a surface, whose place each view
 has a little wrong, and where they see through, in which a few are not wrong."""
-_PRIOR, _FAR = 0.02, 8.0
-"""Weight of the shape known before, relative to that of a cell that is sure, beside what is known; and the cells from
-there on which it is sure itself: it is all there is."""
+_PRIOR = 0.02
+"""Weight of the shape known before, relative to that of a cell that is sure."""
 _SOFT_SLOPE, _SOFT_ERROR = 1.0, 0.1
 """Differences between cells, and to what is wanted, that count by their squares; beyond, linearly. In units of
 ``_FRONT``: the slope of a distance is a third."""
@@ -59,8 +57,7 @@ def fuse(solid: Volume, maps: DepthMaps) -> Volume:
     known = sureness > 0
     wanted = np.where(known, seen, before)
     enough = np.where(seen >= 1, np.float32(_SURE_EMPTY), np.float32(_SURE))
-    alone = np.asarray(ndimage.distance_transform_edt(~known)) / _FAR if known.any() else np.ones(known.shape)
-    weights = np.where(known, np.clip(sureness / enough, _PRIOR, 1), np.clip(alone, _PRIOR, 1))
+    weights = np.where(known, np.clip(sureness / enough, _PRIOR, 1), _PRIOR)
     values = _smoothed(wanted, weights.astype(np.float32), least)
     inside = _whole(values < 0)
     return solid.holding(signed_distance(inside, values * np.float32(unit), solid.cell))

@@ -176,11 +176,8 @@ def start(scene: Scene, name: str) -> Mesh:
     """The last thing an initializer makes, at 128 cells."""
     cameras = [in_object_frame(view, scene.box) for view in scene.train]
     device = torch.device("cpu")
-    targets = (
-        cast(InitializerConfig, registry.default("initializer", name))
-        .build()
-        .targets(cameras, scene.box.half_sides, device)
-    )
+    initializer = cast(InitializerConfig, registry.default("initializer", name)).build()
+    targets = initializer.targets(cameras, scene.box.half_sides, device)
     *_, target = targets
     x, y, z = (float(side) for side in scene.box.half_sides)
     volume = sample(target, (x, y, z), 128, device)

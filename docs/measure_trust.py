@@ -21,6 +21,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import torch
@@ -31,7 +32,7 @@ from scipy.stats import spearmanr
 from skimage.measure import marching_cubes
 
 from sculpt_framework import registry
-from sculpt_framework.config import DatasetConfig
+from sculpt_framework.config import DatasetConfig, InitializerConfig
 from sculpt_framework.engine.images import in_object_frame
 from sculpt_framework.errors import DataError
 from sculpt_framework.evaluation.charts import Axis, Series, line_drawing, series_colors
@@ -49,12 +50,14 @@ from sculpt_framework.shape_from_images.volume import sample
 from sculpt_framework.types import Scene, View
 
 FACES = 150_000
-"""Of the meshes that are spoilt: fine enough for three cells, and quick to measure."""
+"""Of the meshes that are spoilt, where the truth has more: fine enough for three cells, and quick to measure."""
 CELL = 2 / 128
 """Of a grid of 128 cells, in units of the radius."""
 SAMPLES = 50_000
 LAMP = np.array([0.36, -0.48, 0.8])
-COLUMNS = ("capture", "kind", "mesh", "error", "residual_depth", "residual_px", "residual_p90_px", "judged")
+READINGS = ("residual_depth", "residual_depth_mean", "residual_px", "residual_p90_px")
+COLUMNS = ("capture", "kind", "mesh", "error", *READINGS, "judged")
+TRUTH = "truth"
 Spoilt = Iterator[tuple[str, str, Callable[[], Mesh]]]
 """Kinds, names, and how to make them."""
 
@@ -78,10 +81,7 @@ def main() -> int:
 
 def measure_capture(folder: Path, out: Path, pairs: int, pixels: int, seconds: float) -> None:
     """Measure what has not been measured of a capture, a line each in OUT/trust.csv."""
-    config = registry.default("dataset", "auto")
-    if not isinstance(config, DatasetConfig):
-        raise TypeError("the default of the slot dataset is no dataset")
-    scene = config.build(str(folder)).load()
+    scene = cast(DatasetConfig, registry.default("dataset", "auto")).build(str(folder)).load()
     if scene.reference_mesh is None:
         raise SystemExit(f"{folder}: no gt_mesh.ply; expected a capture whose truth is known.")
     truth = load_mesh(scene.reference_mesh)
@@ -91,7 +91,8 @@ def measure_capture(folder: Path, out: Path, pairs: int, pixels: int, seconds: f
     images = PosedImages(scene.train, center, pairs_at_most=pairs, pixels_at_most=pixels)
     known = {(row["capture"], row["mesh"]) for row in read_rows(out / "trust.csv")}
     fine = with_faces(truth, radius)
-    for kind, name, make in (*spoilt(fine, radius), *starts(scene, folder, out, seconds)):
+    coarse = truth if len(truth.faces) <= FACES else fine
+    for kind, name, make in (*spoilt(fine, coarse, radius), *starts(scene, folder, out, seconds)):
         if (folder.name, name) in known:
             continue
         try:
@@ -101,7 +102,9 @@ def measure_capture(folder: Path, out: Path, pairs: int, pixels: int, seconds: f
             continue
         found = images.measure(mesh)
         error = visible_distances(mesh, reference, seen).point_to_surface
-        lengths = [None if x is None else 100 * x / radius for x in (error, found.residual_depth)]
+        lengths = [
+            None if x is None else 100 * x / radius for x in (error, found.residual_depth, found.residual_depth_mean)
+        ]
         values = [*lengths, found.residual_px, found.residual_p90_px, found.judged]
         append_row(out / "trust.csv", [folder.name, kind, name, *values])
         sys.stdout.write(f"{folder.name} {name}: error, residual depth {lengths}\n")
@@ -116,8 +119,11 @@ def measure_capture(folder: Path, out: Path, pairs: int, pixels: int, seconds: f
 # -- meshes that are wrong in known ways -----------------------------------------------------------------------------
 
 
-def spoilt(truth: Mesh, radius: float) -> Spoilt:
-    """From the truth alone. Lengths in the names are percent of the radius, or cells of 128."""
+def spoilt(truth: Mesh, coarse: Mesh, radius: float) -> Spoilt:
+    """From the truth alone, in small faces and, to take some away, in closed ones.
+
+    Lengths in the names are percent of the radius, or cells of 128.
+    """
     normals = vertex_normals(truth.vertices, truth.faces)
     generator = np.random.default_rng(1)
     way = generator.normal(size=3)
@@ -126,7 +132,7 @@ def spoilt(truth: Mesh, radius: float) -> Spoilt:
     def off(heights: np.ndarray) -> Mesh:
         return Mesh(vertices=truth.vertices + heights[:, None] * normals, faces=truth.faces)
 
-    yield "truth", "truth", lambda: truth
+    yield TRUTH, TRUTH, lambda: truth
     for cells, percent in ((3, 0.3), (3, 1.0), (8, 0.3), (8, 1.0), (25, 0.5), (25, 2.0)):
         yield (
             "rough",
@@ -147,7 +153,7 @@ def spoilt(truth: Mesh, radius: float) -> Spoilt:
     for cells in (2, 5):
         yield "low-passed", f"low-passed-{cells}c", lambda cells=cells: low_passed(truth, cells)
     for faces in (6000, 1500, 400):
-        yield "smoothed", f"decimated-{faces}", lambda faces=faces: fewer(truth, faces)
+        yield "smoothed", f"decimated-{faces}", lambda faces=faces: fewer(coarse, faces)
     half = np.clip(10 * (truth.vertices - middle) @ way / radius, 0, 1)
     for cells, percent in ((3, 1.0), (12, 2.0)):
         yield (
@@ -170,7 +176,8 @@ def start(scene: Scene, name: str) -> Mesh:
     """The last thing an initializer makes, at 128 cells."""
     cameras = [in_object_frame(view, scene.box) for view in scene.train]
     device = torch.device("cpu")
-    targets = registry.default("initializer", name).build().targets(cameras, scene.box.half_sides, device)
+    initializer = cast(InitializerConfig, registry.default("initializer", name)).build()
+    targets = initializer.targets(cameras, scene.box.half_sides, device)
     *_, target = targets
     x, y, z = (float(side) for side in scene.box.half_sides)
     volume = sample(target, (x, y, z), 128, device)
@@ -190,11 +197,10 @@ def unfinished_run(folder: Path, run: Path, seconds: float) -> Mesh:
 
 
 def with_faces(mesh: Mesh, radius: float) -> Mesh:
-    """The surface in faces of about the same size, as many as FACES or somewhat more."""
-    edge = np.sqrt(4 / np.sqrt(3) * mesh.areas.sum() / FACES)
+    """The surface in faces that are fine enough to be spoilt."""
     if len(mesh.faces) > FACES:
         return fewer(mesh, FACES)
-    vertices, faces = trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, max(edge, 0.005 * radius))
+    vertices, faces = trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, CELL * radius)
     merged = trimesh.Trimesh(vertices, faces, process=True)
     return Mesh(vertices=np.array(merged.vertices), faces=np.array(merged.faces, np.int64))
 
@@ -297,21 +303,26 @@ def read_rows(path: Path) -> list[Mapping[str, str]]:
 
 
 def drawn(rows: Sequence[Mapping[str, str]]) -> Drawing:
-    """A dot for each mesh, in a colour for each kind."""
+    """A dot for each mesh, in a colour for each kind; a dashed line for what the truth of a capture leaves."""
     series = [
-        Series(name=row["kind"], points=[(float(row["error"]), float(row["residual_depth"]))], style="mark")
+        Series(
+            name=row["kind"],
+            points=[(float(row["error"]), float(row["residual_depth"]))],
+            style="level" if row["kind"] == TRUTH else "mark",
+        )
         for row in complete(rows)
     ]
+    colors = {**series_colors([line for line in series if line.name != TRUTH]), TRUTH: "#999999"}
     title = f"{len(series)} meshes of {len({row['capture'] for row in rows})} captures"
     x = Axis(label="distance to the truth where it is seen, 1e-2 radius (log)", log=True)
     y = Axis(label="residual depth, 1e-2 radius (log)", log=True)
-    return line_drawing(title, series, x, y, colors=series_colors(series), legend=True)
+    return line_drawing(title, series, x, y, colors=colors, legend=True)
 
 
 def summary(rows: Sequence[Mapping[str, str]]) -> list[str]:
     """Rank correlations: over everything, by capture, and of other readings of the residual."""
     known = complete(rows)
-    out = [f"{name}: {correlation(known, name):.3f} over {len(known)} meshes" for name in COLUMNS[4:7]]
+    out = [f"{name}: {correlation(known, name):.3f} over {len(known)} meshes" for name in READINGS]
     for capture in dict.fromkeys(row["capture"] for row in known):
         own = [row for row in known if row["capture"] == capture]
         out.append(f"residual_depth, {capture}: {correlation(own, 'residual_depth'):.3f} over {len(own)}")

@@ -30,6 +30,7 @@ MEASURED = (
     "residual_px",
     "residual_p90_px",
     "residual_depth",
+    "residual_depth_mean",
     "judged",
     "pairs",
     "roughness",

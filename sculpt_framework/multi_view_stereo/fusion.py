@@ -27,7 +27,7 @@ seen from both sides."""
 _SURE, _SURE_EMPTY = 30.0, 4.0
 """Confidence of all views together after which more does not make a cell surer: near a surface, whose place each view
 has a little wrong, and where they see through, in which a few are not wrong."""
-_PRIOR = 0.02
+_PRIOR = 0.05
 """Weight of the shape known before, relative to that of a cell that is sure."""
 _SOFT_SLOPE, _SOFT_ERROR = 1.0, 0.1
 """Differences between cells, and to what is wanted, that count by their squares; beyond, linearly. In units of

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, Int64
 
-from sculpt_framework.shape_from_images.windows import covered_window
+from sculpt_framework.shape_from_images.windows import covered_window, relative_poses
 from sculpt_framework.threads import in_threads
 from sculpt_framework.types import Camera, View
 
@@ -51,9 +51,7 @@ class StereoViews:
 
     def relative(self, view: int, others: Int64[np.ndarray, " n"]) -> Float32[np.ndarray, "n 3 4"]:
         """What leads from the camera frame of a view into those of others."""
-        rotation, translation = self.poses[view, :, :3].astype(float), self.poses[view, :, 3].astype(float)
-        turned = self.poses[others, :, :3].astype(float) @ rotation.T
-        return np.concatenate([turned, self.poses[others, :, 3:] - (turned @ translation)[..., None]], 2).astype("f4")
+        return relative_poses(self.poses, view, others)
 
     def neighbours(self, count: int) -> list[Int64[np.ndarray, " _"]]:
         """For each view at most ``count`` others that it is best compared with, the best first.

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float32, Int64
 
-from sculpt_framework.shape_from_images.windows import covered_window
+from sculpt_framework.shape_from_images.windows import covered_window, relative_poses
 from sculpt_framework.types import View
 
 _MARGIN = 2
@@ -34,9 +34,7 @@ class PackedViews:
 
     def relative(self, view: int, others: Int64[np.ndarray, " n"]) -> Float32[np.ndarray, "n 3 4"]:
         """What leads from the camera frame of a view into those of others."""
-        rotation, translation = self.poses[view, :, :3].astype(float), self.poses[view, :, 3].astype(float)
-        turned = self.poses[others, :, :3].astype(float) @ rotation.T
-        return np.concatenate([turned, self.poses[others, :, 3:] - (turned @ translation)[..., None]], 2).astype("f4")
+        return relative_poses(self.poses, view, others)
 
     def neighbours(self, count: int, angle: float, limits: tuple[float, float]) -> list[Int64[np.ndarray, " n"]]:
         """For each view at most ``count`` others, those first whose angle to it is nearest to ``angle``.

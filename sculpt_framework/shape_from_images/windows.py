@@ -1,6 +1,7 @@
-"""The part of an image that shows the object."""
+"""The part of an image that shows the object, and how views stand to each other."""
 
-from jaxtyping import Float
+import numpy as np
+from jaxtyping import Float, Float32, Int64
 from torch import Tensor
 
 
@@ -15,3 +16,12 @@ def covered_window(alpha: Float[Tensor, "h w"], margin: int) -> tuple[int, int, 
         spans.append((first, min(count, int(places[-1]) + 1 + margin) - first))
     (x, width), (y, height) = spans
     return x, y, width, height
+
+
+def relative_poses(
+    poses: Float32[np.ndarray, "v 3 4"], view: int, others: Int64[np.ndarray, " n"]
+) -> Float32[np.ndarray, "n 3 4"]:
+    """What leads from the camera frame of a view into those of others."""
+    rotation, translation = poses[view, :, :3].astype(float), poses[view, :, 3].astype(float)
+    turned = poses[others, :, :3].astype(float) @ rotation.T
+    return np.concatenate([turned, poses[others, :, 3:] - (turned @ translation)[..., None]], 2).astype("f4")

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from sculpt_framework.fields import Field
     from sculpt_framework.geometry.grid import Grid
     from sculpt_framework.initializers import Initializer
-    from sculpt_framework.losses import GeometryLoss, ImageLoss
+    from sculpt_framework.losses import GeometryLoss, ImageLoss, ViewsLoss
     from sculpt_framework.observers import Observer
     from sculpt_framework.rasterizers import Rasterizer
 
@@ -67,7 +67,7 @@ class LossConfig(ComponentConfig, ABC):
     """Factor of this term in the outer loss."""
 
     @abstractmethod
-    def build(self) -> "ImageLoss | GeometryLoss": ...
+    def build(self) -> "ImageLoss | GeometryLoss | ViewsLoss": ...
 
 
 @dataclass(frozen=True, kw_only=True)

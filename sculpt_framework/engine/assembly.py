@@ -7,7 +7,6 @@ import torch
 
 from sculpt_framework.config import MethodConfig, TrainerConfig
 from sculpt_framework.engine.gaussian_scene import GaussianScene
-from sculpt_framework.engine.images import TrainingImage
 from sculpt_framework.engine.parallel import Processes
 from sculpt_framework.engine.trainer import BiLevelTrainer, Objectives, Weighted
 from sculpt_framework.errors import ConfigError, DeviceError
@@ -15,7 +14,7 @@ from sculpt_framework.extractors import Extractor, RefiningExtractor
 from sculpt_framework.geometry.band import cells_at_level, coarsened, discover
 from sculpt_framework.geometry.grid import Grid, RefineBox, grid_over_box
 from sculpt_framework.geometry.octree_policy import LevelMap, level_map, wanted_levels
-from sculpt_framework.losses import GeometryLoss, ImageLoss
+from sculpt_framework.losses import GeometryLoss, ImageLoss, TrainingImage, ViewsLoss
 from sculpt_framework.rasterizers import Rasterizer
 from sculpt_framework.registry import name_of
 from sculpt_framework.types import Box, Scene
@@ -180,10 +179,13 @@ def build_objectives(config: MethodConfig) -> Objectives:
     """
     images: list[Weighted[ImageLoss]] = []
     geometry: list[Weighted[GeometryLoss]] = []
+    views: list[Weighted[ViewsLoss]] = []
     for loss in config.losses:
         term, name = loss.build(), name_of(loss)
         if isinstance(term, ImageLoss):
             images.append(Weighted(name=name, weight=loss.weight, term=term))
+        elif isinstance(term, ViewsLoss):
+            views.append(Weighted(name=name, weight=loss.weight, term=term))
         else:
             geometry.append(Weighted(name=name, weight=loss.weight, term=term))
     colours = [objective.term for objective in images if objective.name != SILHOUETTE]
@@ -197,6 +199,7 @@ def build_objectives(config: MethodConfig) -> Objectives:
         images=images,
         silhouettes=silhouettes,
         geometry=geometry,
+        views=views,
         constraints=[Weighted(name=name_of(c), weight=c.weight, term=c.build()) for c in config.constraints],
     )
 

@@ -1,7 +1,7 @@
 """Training images of a stage: cropped to the object, scaled, in the object frame."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sculpt_framework.losses import Target
+from sculpt_framework.losses import TrainingImage
 from sculpt_framework.threads import in_threads
 from sculpt_framework.types import Box, Camera, View
 
@@ -17,22 +17,6 @@ _MARGIN_SHARE = 0.06
 """Border kept around the object's box in an image, as a share of the box's longer side: room for the surface to be
 wrong in and still be seen."""
 _MARGIN_PIXELS = 6
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TrainingImage:
-    name: str
-    camera: Camera
-    """In the object frame."""
-    premultiplied: Float[Tensor, "h w 3"]
-    """Colour times alpha; plain colour where there is no mask."""
-    alpha: Float[Tensor, "h w"] | None
-
-    def over(self, background: Float[Tensor, " 3"]) -> Target:
-        """What a rendering over this background should look like."""
-        if self.alpha is None:
-            return Target(rgb=self.premultiplied, alpha=None)
-        return Target(rgb=self.premultiplied + (1 - self.alpha)[..., None] * background, alpha=self.alpha)
 
 
 def prepare_image(view: View, box: Box, scale: float, device: torch.device, *, crop: bool = True) -> TrainingImage:

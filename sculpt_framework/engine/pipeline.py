@@ -15,7 +15,7 @@ from sculpt_framework.engine.assembly import Parts
 from sculpt_framework.engine.clock import TrainingClock, process_start
 from sculpt_framework.engine.events import Event, EventName
 from sculpt_framework.engine.idle_bands import spare_bands
-from sculpt_framework.engine.images import TrainingImage, pixel_footprint, prepare_image, prepare_images
+from sculpt_framework.engine.images import pixel_footprint, prepare_image, prepare_images
 from sculpt_framework.engine.initial_fit import fit_to_views
 from sculpt_framework.engine.measuring import Yardstick, resident_megabytes
 from sculpt_framework.engine.milestones import Milestones
@@ -31,6 +31,7 @@ from sculpt_framework.errors import CheckpointError, TrainingFailed
 from sculpt_framework.evaluation.pictures import Picture
 from sculpt_framework.extractors import EmptySurfaceError, SdfFunction
 from sculpt_framework.geometry.grid import RefineBox
+from sculpt_framework.losses import TrainingImage
 from sculpt_framework.types import Scene, Surface
 
 _RECOVERIES_AT_MOST = 3
@@ -174,6 +175,7 @@ class Pipeline:
         box, device, number = self.scene.box, self._parts.device, self.config.trainer.stages.index(stage)
         foresight.check_memory(self._trainer, self._views, box, stage, number, self.warn)
         self._images = prepare_images(self._views, box, stage.image_scale, device)
+        self._trainer.take_images(self._images)
         assembly.spare_cells(self._trainer.extractor, self.config.trainer, self._images)
         self._trainer.scene.blur = math.sqrt(self.config.trainer.low_pass_px2) * pixel_footprint(self._images)
 

@@ -8,10 +8,11 @@ from typing import Any
 from sculpt_framework.config import MethodConfig, StageConfig
 from sculpt_framework.engine.assembly import SILHOUETTE, Parts, find_seeds, set_level
 from sculpt_framework.engine.clock import TrainingClock
-from sculpt_framework.engine.images import TrainingImage, pixel_footprint, prepare_images
+from sculpt_framework.engine.images import pixel_footprint, prepare_images
 from sculpt_framework.engine.trainer import BiLevelTrainer
 from sculpt_framework.errors import TrainingFailed
 from sculpt_framework.extractors import EmptySurfaceError
+from sculpt_framework.losses import TrainingImage
 from sculpt_framework.types import Box, View
 
 _STEPS = 150

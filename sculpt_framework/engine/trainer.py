@@ -9,7 +9,7 @@ render it, and carry the images' gradient through Gaussians and faces into field
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Bool, Float, Int64
@@ -21,16 +21,15 @@ from sculpt_framework.config import StageConfig, TrainerConfig
 from sculpt_framework.constraints import Constraint
 from sculpt_framework.engine.falling import Falling
 from sculpt_framework.engine.gaussian_scene import GaussianScene, assemble
-from sculpt_framework.engine.images import TrainingImage
 from sculpt_framework.engine.parallel import Alone, Processes
 from sculpt_framework.engine.regions import Frozen, Region, frozen_rows, signed_distance, untaught
 from sculpt_framework.engine.resting import Resting
 from sculpt_framework.engine.still_faces import StillFaces
 from sculpt_framework.engine.trust_region import TrustRegion
-from sculpt_framework.engine.view_gradients import ViewGradients, Weighted
+from sculpt_framework.engine.view_gradients import ViewGradients, Walk, Weighted
 from sculpt_framework.extractors import Extraction, Extractor
 from sculpt_framework.fields import Field
-from sculpt_framework.losses import GeometryLoss, ImageLoss
+from sculpt_framework.losses import GeometryLoss, ImageLoss, TrainingImage, ViewsLoss
 from sculpt_framework.rasterizers import Rasterizer
 from sculpt_framework.types import Surface
 
@@ -50,6 +49,7 @@ class Objectives:
     silhouettes: Sequence[Weighted[ImageLoss]]
     """The image terms of a silhouette stage."""
     geometry: Sequence[Weighted[GeometryLoss]]
+    views: Sequence[Weighted[ViewsLoss]]
     constraints: Sequence[Weighted[Constraint]]
 
 
@@ -124,6 +124,11 @@ class BiLevelTrainer:
         """Have all processes start from the first one's field and colours: fitting rounds as the machine likes."""
         self.processes.equalize([*self.field.parameters(), *self.scene.appearance.parameters()])
 
+    def take_images(self, images: Sequence[TrainingImage]) -> None:
+        """From here on these are the images that the steps are given."""
+        for objective in self.objectives.views:
+            objective.term.begin(images)
+
     def begin_stage(self) -> None:
         """Images are others from here on: views come in a new order, and Gaussians of all faces learn from them."""
         self.views.order = []
@@ -180,6 +185,8 @@ class BiLevelTrainer:
         seeing = self.objectives.silhouettes if stage.silhouette_only else self._awake()
         walk, terms = self.views.see(gaussians, images, views, seeing, self.processes)
         seen = tuple(terms)
+        for objective in self.objectives.views if not stage.silhouette_only else ():
+            terms[objective.name] = self._compare(objective, settled.surface, images, walk)
         for objective in self.objectives.geometry:
             terms[objective.name] = walk.add(objective.weight * objective.term(extraction))
         # Without an inner loop there is no other place to constrain the Gaussians in.
@@ -286,6 +293,24 @@ class BiLevelTrainer:
     def signed_distance(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
         return signed_distance(self.field, self.frozen, points, margin=2 * self.extractor.grid.cell)
 
+    def _compare(
+        self, objective: Weighted[ViewsLoss], surface: Surface, images: Sequence[TrainingImage], walk: Walk
+    ) -> float:
+        """A term of surface and photographs; each process does its share of the views. Returns its value."""
+        drawn = [self.views.next_view(len(images)) for _ in range(objective.term.views)]
+        mine = [drawn[number] for number in self.processes.share(len(drawn))]
+        leaf, value = surface.vertices.detach().requires_grad_(), 0.0
+        if mine:
+            term = objective.weight * len(mine) / len(drawn) * objective.term(replace(surface, vertices=leaf), mine)
+            value = float(term.detach())
+            if term.requires_grad:
+                term.backward()
+        (value,) = self.processes.reduce([leaf], {objective.name: value}).values()
+        if leaf.grad is not None and surface.vertices.requires_grad:
+            walk.roots.append(surface.vertices)
+            walk.gradients.append(leaf.grad)
+        return value
+
     # -- parts of an outer step ----------------------------------------------------------------------------------
 
     def extract(self) -> Extraction:
@@ -302,9 +327,9 @@ class BiLevelTrainer:
                 self.resting.saw(objective.name, terms[objective.name], sum(terms.values()))
 
     def _awake(self) -> Sequence[Weighted[ImageLoss]]:
-        """The image terms that are evaluated in this step: what compares colours always is."""
-        always = self.objectives.photometric
-        return [each for each in self.objectives.images if each.term is always or self.resting.due(each.name)]
+        """The image terms that are evaluated in this step: what compares colours always is, if it has a weight."""
+        always, weighty = self.objectives.photometric, [each for each in self.objectives.images if each.weight > 0]
+        return [each for each in weighty if each.term is always or self.resting.due(each.name)]
 
     def _zero_grad(self) -> None:
         self.optimizer.zero_grad()

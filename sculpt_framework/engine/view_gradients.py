@@ -10,9 +10,8 @@ from torch import Tensor
 
 from sculpt_framework.config import TrainerConfig
 from sculpt_framework.engine.gaussian_scene import as_leaves, tensor_pairs
-from sculpt_framework.engine.images import TrainingImage
 from sculpt_framework.engine.parallel import Processes
-from sculpt_framework.losses import ImageLoss
+from sculpt_framework.losses import ImageLoss, TrainingImage
 from sculpt_framework.rasterizers import Rasterizer
 from sculpt_framework.types import Gaussians
 
@@ -53,7 +52,7 @@ class ViewGradients:
         Each view's graph ends at the Gaussians and is freed before the next view is rendered. That is where processes
         add up: Gaussians have far fewer numbers than what they are made of, and from here all go on alike.
         """
-        drawn = [self._draw(images) for _ in range(count)]
+        drawn = [self._draw(images) for _ in range(count if objectives else 0)]
         leaves = as_leaves(gaussians)
         terms = {objective.name: 0.0 for objective in objectives}
         for number in processes.share(len(drawn)):
@@ -78,7 +77,7 @@ class ViewGradients:
                 walk.gradients.append(leaf.grad)
         return walk, terms
 
-    def _next_view(self, count: int) -> int:
+    def next_view(self, count: int) -> int:
         """Every view once, in random order, before any comes again."""
         if not self.order:
             self.order = torch.randperm(count, generator=self._generator).tolist()
@@ -86,7 +85,7 @@ class ViewGradients:
 
     def _draw(self, images: Sequence[TrainingImage]) -> Drawn:
         """The next view. Every process draws for all, so that all draw the same."""
-        image = images[self._next_view(len(images))]
+        image = images[self.next_view(len(images))]
         return image, self._background(image)
 
     def _background(self, image: TrainingImage) -> Float[Tensor, " 3"]:

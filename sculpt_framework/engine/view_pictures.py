@@ -8,7 +8,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sculpt_framework.engine.gaussian_scene import GaussianScene
-from sculpt_framework.engine.images import TrainingImage
 from sculpt_framework.engine.reconstruction import face_centers, object_gaussians
 from sculpt_framework.evaluation.geometry import MeasuredMesh
 from sculpt_framework.evaluation.pictures import (
@@ -18,6 +17,7 @@ from sculpt_framework.evaluation.pictures import (
     error_colors,
     normal_picture,
 )
+from sculpt_framework.losses import TrainingImage
 from sculpt_framework.rasterizers import Rasterizer
 from sculpt_framework.types import Box, Gaussians, Surface
 

@@ -7,22 +7,24 @@ _OPTIONS = {"error_model": "numpy", "cache": True, "nogil": True}
 
 
 @njit(**_OPTIONS)
-def draw(corners, inverse_depth, face, weights, nearest):
+def draw(places, inverse_depth, faces, closed, face, weights, nearest):
     """Fill in, for each pixel centre, the nearest triangle, its perspective-correct weights, and 1/z there.
 
-    ``corners`` (f, 3, 2) are columns and rows, ``inverse_depth`` (f, 3) is 1/z, 0 for what must not be drawn. ``face``
-    comes as -1 and ``nearest`` as 0 everywhere.
+    ``places`` (v, 2) are columns and rows, ``inverse_depth`` (v) is 1/z, 0 for what must not be drawn. ``face`` comes
+    as -1 and ``nearest`` as 0 everywhere. Of a ``closed`` surface seen from outside the faces that look away, which
+    others hide, are passed over: corners turn counter-clockwise seen from outside, and rows count downwards.
     """
     height, width = face.shape
-    for f in range(corners.shape[0]):
-        i0, i1, i2 = inverse_depth[f, 0], inverse_depth[f, 1], inverse_depth[f, 2]
+    for f in range(faces.shape[0]):
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        i0, i1, i2 = inverse_depth[a], inverse_depth[b], inverse_depth[c]
         if i0 <= 0 or i1 <= 0 or i2 <= 0:
             continue
-        x0, y0 = corners[f, 0, 0], corners[f, 0, 1]
-        x1, y1 = corners[f, 1, 0], corners[f, 1, 1]
-        x2, y2 = corners[f, 2, 0], corners[f, 2, 1]
+        x0, y0 = places[a, 0], places[a, 1]
+        x1, y1 = places[b, 0], places[b, 1]
+        x2, y2 = places[c, 0], places[c, 1]
         area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
-        if area == 0:
+        if area == 0 or (closed and area > 0):
             continue
         left = max(0, int(np.ceil(max(-1.0, min(x0, x1, x2)) - 0.5)))
         right = min(width - 1, int(np.floor(min(width + 1.0, max(x0, x1, x2)) - 0.5)))

@@ -54,23 +54,33 @@ def lens_values(camera: Camera) -> Float64[np.ndarray, " 4"]:
     return np.array([camera.fx, camera.fy, camera.cx, camera.cy])
 
 
-def draw_mesh(vertices: Vertices, faces: Faces, camera: Camera) -> MeshPixels:
-    """Mesh and camera in the same frame. Faces that reach behind the camera are left out."""
+def draw_mesh(vertices: Vertices, faces: Faces, camera: Camera, *, closed: bool = False) -> MeshPixels:
+    """Mesh and camera in the same frame. Faces that reach behind the camera are left out.
+
+    A surface known to be ``closed``, seen from outside, is drawn in less time.
+    """
     pose = camera.world_to_camera.double().numpy()
     local = vertices @ pose[:3, :3].T + pose[:3, 3]
     inverse = np.where(local[:, 2] > 0, 1 / np.where(local[:, 2] > 0, local[:, 2], 1), 0)
     columns = camera.fx * local[:, 0] * inverse + camera.cx
     rows = camera.fy * local[:, 1] * inverse + camera.cy
-    return draw_triangles(np.stack([columns, rows], axis=1)[faces], inverse[faces], camera.width, camera.height)
+    places = np.stack([columns, rows], axis=1)
+    return draw_triangles(places, inverse, faces, camera.width, camera.height, closed=closed)
 
 
 def draw_triangles(
-    corners: Float64[np.ndarray, "f 3 2"], inverse_depth: Float64[np.ndarray, "f 3"], width: int, height: int
+    places: Float64[np.ndarray, "v 2"],
+    inverse_depth: Float64[np.ndarray, " v"],
+    faces: Faces,
+    width: int,
+    height: int,
+    *,
+    closed: bool = False,
 ) -> MeshPixels:
-    """Triangles given by columns and rows, and 1/z, at their corners."""
+    """Triangles of corners given by columns and rows, and 1/z; ``closed`` as in ``draw_mesh``."""
     face = np.full((height, width), -1, np.int32)
     weights, nearest = np.zeros((height, width, 3), np.float32), np.zeros((height, width))
-    kernels.draw(np.ascontiguousarray(corners), np.ascontiguousarray(inverse_depth), face, weights, nearest)
+    kernels.draw(places, inverse_depth, np.ascontiguousarray(faces), closed, face, weights, nearest)
     depth = np.where(face >= 0, 1 / np.where(face >= 0, nearest, 1), np.inf).astype(np.float32)
     return MeshPixels(face=face, weights=weights, depth=depth)
 

@@ -130,8 +130,8 @@ def _texels(
     colors: Float[np.ndarray, "v 3"],
 ) -> tuple[Bool[np.ndarray, "h w"], Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3"]]:
     """Which texels lie in a chart; and of those, in row order, the place, unit normal and vertex colour."""
-    corners = atlas.uv[atlas.faces] * (atlas.width, -atlas.height) + (0, atlas.height)
-    drawn = draw_triangles(corners, np.ones((len(atlas.faces), 3)), atlas.width, atlas.height)
+    places = atlas.uv * (atlas.width, -atlas.height) + (0, atlas.height)
+    drawn = draw_triangles(places, np.ones(len(places)), atlas.faces, atlas.width, atlas.height)
     inside = drawn.face >= 0
     normals = vertex_normals(vertices, faces)
     values = np.concatenate([vertices, normals, colors], axis=1)

@@ -54,29 +54,34 @@ class StereoViews:
         return relative_poses(self.poses, view, others)
 
     def neighbours(self, count: int) -> list[Int64[np.ndarray, " _"]]:
-        """For each view at most ``count`` others that it is best compared with, the best first.
+        """For each view the others it is best compared with: ``compared_with`` of their positions."""
+        return compared_with(self.positions, count)
 
-        Best is an angle of some 12 degrees, as seen from the origin, and not to stand where another of them does: from
-        several sides, one or the other sees what is hidden from the rest.
-        """
-        distances = np.maximum(np.linalg.norm(self.positions, axis=1, keepdims=True), 1e-9)
-        directions = (self.positions / distances).astype(float)
-        angles = np.degrees(np.arccos(np.clip(directions @ directions.T, -1, 1)))
-        chosen = []
-        for i, row in enumerate(angles):
-            worth = np.exp(-0.5 * ((row - _AIM) / np.where(row < _AIM, _NARROW, _WIDE)) ** 2)
-            worth[(row < _ANGLES[0]) | (row > _ANGLES[1])] = 0
-            worth[i] = 0
-            ways = self.positions - self.positions[i]
-            ways = ways / np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), 1e-9)
-            others: list[int] = []
-            while len(others) < count and worth.max() > 0:
-                best = int(worth.argmax())
-                others.append(best)
-                worth *= 1 - _SPREAD * np.maximum(ways @ ways[best], 0) ** 2
-                worth[best] = 0
-            chosen.append(np.array(others, np.int64))
-        return chosen
+
+def compared_with(positions: Float32[np.ndarray, "v 3"], count: int) -> list[Int64[np.ndarray, " _"]]:
+    """For each camera at most ``count`` others that its image is best compared with, the best first; object frame.
+
+    Best is an angle of some 12 degrees, as seen from the origin, and not to stand where another of them does: from
+    several sides, one or the other sees what is hidden from the rest.
+    """
+    distances = np.maximum(np.linalg.norm(positions, axis=1, keepdims=True), 1e-9)
+    directions = (positions / distances).astype(float)
+    angles = np.degrees(np.arccos(np.clip(directions @ directions.T, -1, 1)))
+    chosen = []
+    for i, row in enumerate(angles):
+        worth = np.exp(-0.5 * ((row - _AIM) / np.where(row < _AIM, _NARROW, _WIDE)) ** 2)
+        worth[(row < _ANGLES[0]) | (row > _ANGLES[1])] = 0
+        worth[i] = 0
+        ways = positions - positions[i]
+        ways = ways / np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), 1e-9)
+        others: list[int] = []
+        while len(others) < count and worth.max() > 0:
+            best = int(worth.argmax())
+            others.append(best)
+            worth *= 1 - _SPREAD * np.maximum(ways @ ways[best], 0) ** 2
+            worth[best] = 0
+        chosen.append(np.array(others, np.int64))
+    return chosen
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

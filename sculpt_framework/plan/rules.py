@@ -8,19 +8,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from sculpt_framework import registry
-from sculpt_framework.config import InitializerConfig, MethodConfig
+from sculpt_framework.config import InitializerConfig, LossConfig, MethodConfig
 from sculpt_framework.plan.evidence import Evidence
 from sculpt_framework.plan.options import has_option, option_of, with_options, without
 from sculpt_framework.registry import name_of
 
+PHOTOMETRIC, CONSISTENCY = "photometric", "consistency"
 HULLS = ("visual-hull", "photo-hull", "stereo")
 SILHOUETTE, CARVED, STEREO, HULL, NO_MASKS = "silhouette", "photo-hull", "stereo", "visual-hull", "sphere"
-SURFACE_RATES = (
-    ("field", "learning_rate"),
-    ("field", "decoder_rate"),
-    ("extractor", "weight_rate"),
-    ("extractor", "deformation_rate"),
-)
 BETWEEN_GAUSSIANS = ("spacing", "coverage")
 """Constraints that are constant where a face has one Gaussian."""
 ON_PLACES = ("mee-scale", "boundary", *BETWEEN_GAUSSIANS)
@@ -31,9 +26,12 @@ SPEAKING_LEAST = 0.02
 UNEVEN_COLORS = 0.017
 """Share of its brightness by which a place differs between views from which on colours themselves are no measure of
 what belongs together, only how they vary around a place."""
-UNEVEN_LIGHT, HELD_RATE, HELD_STEPS = 0.03, 0.1, 30
-"""The same share from which on colours would move the surface away from what stereo found. Its rates are then so much
-of what they were, and the outer steps so many at the most."""
+UNEVEN_LIGHT = 0.03
+"""The same share from which on the surface does not learn from colours: they would move it away from where views agree.
+It learns from how well photographs agree on it instead."""
+FOLLOWING_STEPS, OUTLINE_VIEWS = 1, 2
+"""Then colours only have to follow the surface, for the viewer and for what is measured, until they are polished; and
+Gaussians are rendered for their outline alone."""
 CELL_PIXELS_LEAST = 1.0
 """A cell narrower than a pixel is more than the images can tell."""
 CELL_PIXELS_MOST, CELL_PIXELS_AIM = 4.0, 2.0
@@ -144,19 +142,27 @@ def light(config: MethodConfig, evidence: Evidence) -> Ruling:
     measured = {"unevenness": uneven}
     if uneven < UNEVEN_LIGHT:
         return Ruling(config=config, value="as the method has it", evidence=why, measured=measured)
-    decided = config
-    for slot, option in SURFACE_RATES:
-        rate = option_of(getattr(config, slot), option)
-        if rate is not None:
-            decided = with_options(decided, slot, **{option: HELD_RATE * rate})
-    steps = min(config.trainer.outer_steps, HELD_STEPS)
+    terms = [replace(each, weight=0.0) if name_of(each) == PHOTOMETRIC else each for each in config.losses]
+    if CONSISTENCY not in map(name_of, terms):
+        term = registry.default("losses", CONSISTENCY)
+        assert isinstance(term, LossConfig)  # noqa: S101
+        terms.append(term)
+    stages = tuple(
+        replace(
+            stage,
+            inner_steps=min(stage.inner_steps, FOLLOWING_STEPS),
+            outer_views=min(stage.outer_views, OUTLINE_VIEWS),
+        )
+        for stage in config.trainer.stages
+    )
+    fewer = config.trainer.stages[-1].inner_steps - stages[-1].inner_steps
     return Ruling(
-        config=with_options(decided, "trainer", outer_steps=steps),
-        value=f"the surface learns at {HELD_RATE:g} of its rates, for {steps} steps",
+        config=with_options(replace(config, losses=tuple(terms)), "trainer", stages=stages),
+        value="the surface learns from agreement between views, not from colours",
         evidence=why,
         measured=measured,
-        saves=f"{config.trainer.outer_steps - steps} outer steps",
-        spared={"outer steps": float(config.trainer.outer_steps - steps)},
+        saves=f"the photometric term of the outer loss, {fewer} colour steps of each outer step",
+        spared={"inner steps per outer step": float(fewer)},
     )
 
 
@@ -275,6 +281,9 @@ def gaussians(config: MethodConfig, evidence: Evidence) -> Ruling:
     why = f"texture finer than a face ({face:.1f} pixels) has a contrast of {fine:.3f}"
     measured = {"face_pixels": face, "contrast": fine}
     wanted = 1 if fine < FINE_TEXTURE else max(1, min(GAUSSIANS_MOST, round(area / GAUSSIAN_PIXELS)))
+    if not any(name_of(each) == PHOTOMETRIC and each.weight > 0 for each in config.losses):
+        wanted = 1
+        why += ", but the surface does not learn from colours"
     if count is None or count == wanted:
         return Ruling(config=config, value=f"K = {count}", evidence=why, measured=measured)
     saves = f"{count - wanted} of {count} Gaussians on each face" if wanted < count else None
@@ -375,11 +384,7 @@ STAGES = "trainer.stages"
 RULES: Sequence[Rule] = (
     Rule(item="silhouette", touches=("losses", "initializer"), decide=silhouette),
     Rule(item="stereo", touches=("initializer",), decide=stereo),
-    Rule(
-        item="light",
-        touches=(*(f"{slot}.{option}" for slot, option in SURFACE_RATES), "trainer.outer_steps"),
-        decide=light,
-    ),
+    Rule(item="light", touches=("losses", STAGES), decide=light),
     Rule(item="views", touches=("skip_views",), decide=views),
     Rule(item="level", touches=(STAGES, "trainer.base_cells"), decide=level),
     Rule(item="images", touches=(STAGES,), decide=images),

@@ -1,5 +1,6 @@
 """What every field, binder, appearance, rasteriser, loss and constraint must keep to."""
 
+import math
 from collections.abc import Callable
 from dataclasses import fields, replace
 
@@ -19,7 +20,7 @@ from sculpt_framework.config import (
 )
 from sculpt_framework.geometry.band import discover
 from sculpt_framework.geometry.grid import grid_over_box
-from sculpt_framework.losses import ImageLoss, Target
+from sculpt_framework.losses import ImageLoss, Target, TrainingImage, ViewsLoss
 from sculpt_framework.rasterizers import Rasterizer
 from sculpt_framework.testing.extraction import box_sdf, require, sphere_sdf
 from sculpt_framework.types import Camera, Gaussians, Rendering, Surface
@@ -300,6 +301,9 @@ def check_loss(config: LossConfig, extractor: ExtractorConfig, device: torch.dev
             for value in (least, more):
                 _require_finite_slopes(value, [same.rgb, same.alpha, other.rgb, other.alpha])
         return
+    if isinstance(term, ViewsLoss):
+        _check_views_loss(term, device)
+        return
     grid = grid_over_box(torch.ones(3), cells=12)
     built = extractor.build(grid, device)
     for name, sdf in (("sphere", sphere_sdf(0.6)), ("box", box_sdf())):
@@ -309,6 +313,32 @@ def check_loss(config: LossConfig, extractor: ExtractorConfig, device: torch.dev
         require(value.shape == (), "a geometry term is not one number")
         require(bool(torch.isfinite(value.detach())), f"{name}: the term is {float(value.detach())}")
         _require_finite_slopes(value, [shift])
+
+
+def _check_views_loss(term: ViewsLoss, device: torch.device) -> None:
+    """On a tetrahedron seen by four cameras side by side, and by one alone."""
+    generator = torch.Generator().manual_seed(0)
+    cameras = [_turned(camera_at(4.0, device=device), 0.2 * number) for number in range(4)]
+    images = [
+        TrainingImage(name=str(number), camera=camera, premultiplied=rgb.to(device), alpha=None)
+        for number, camera in enumerate(cameras)
+        for rgb in (torch.rand(camera.height, camera.width, 3, generator=generator),)
+    ]
+    for given in (images, images[:1]):
+        term.begin(given)
+        surface = tetrahedron(device=device)
+        vertices = surface.vertices.detach().requires_grad_()
+        value = term(replace(surface, vertices=vertices), range(min(term.views, len(given))))
+        require(value.shape == (), "a term of views is not one number")
+        require(bool(torch.isfinite(value.detach())), f"the term is {float(value.detach())}")
+        _require_finite_slopes(value, [vertices])
+
+
+def _turned(camera: Camera, angle: float) -> Camera:
+    """The camera, gone round the origin about the y axis."""
+    cosine, sine = math.cos(angle), math.sin(angle)
+    turn = torch.tensor([[cosine, 0, sine, 0], [0, 1, 0, 0], [-sine, 0, cosine, 0], [0, 0, 0, 1.0]])
+    return replace(camera, world_to_camera=camera.world_to_camera @ turn.to(camera.world_to_camera))
 
 
 def _require_finite_slopes(value: Tensor, inputs: list[Tensor]) -> None:

@@ -11,8 +11,8 @@ from torch import Tensor
 from sculpt_framework.config import TrainerConfig
 from sculpt_framework.engine.assembly import Parts
 from sculpt_framework.engine.falling import Falling
-from sculpt_framework.engine.images import TrainingImage
 from sculpt_framework.engine.still_faces import StillFaces
+from sculpt_framework.losses import TrainingImage
 from sculpt_framework.types import Scene, Surface
 from sculpt_plugins.appearances.per_gaussian.config import PerGaussianConfig
 from sculpt_plugins.binders.face_barycentric.config import FaceBarycentricConfig

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from sculpt_framework.engine.assembly import Parts
 from sculpt_framework.engine.gaussian_scene import assemble
-from sculpt_framework.engine.images import TrainingImage
+from sculpt_framework.losses import TrainingImage
 from sculpt_framework.types import Scene, Surface
 from sculpt_plugins.extractors.flexicubes.config import FlexiCubesConfig
 

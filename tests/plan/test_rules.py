@@ -10,9 +10,10 @@ from sculpt_framework.config import InitializerConfig, MethodConfig, PlanConfig
 from sculpt_framework.plan.directions import Gloss
 from sculpt_framework.plan.evidence import Evidence
 from sculpt_framework.plan.make import decide
-from sculpt_framework.plan.options import option_of, with_options
-from sculpt_framework.plan.rules import HELD_RATE, HELD_STEPS, SURFACE_RATES, UNEVEN_COLORS, UNEVEN_LIGHT
+from sculpt_framework.plan.options import option_of, with_options, without
+from sculpt_framework.plan.rules import UNEVEN_COLORS, UNEVEN_LIGHT
 from sculpt_framework.registry import name_of
+from sculpt_plugins.losses.consistency.config import ConsistencyConfig
 
 USUAL = Evidence(
     views=100,
@@ -51,9 +52,8 @@ def uneven(share: float) -> Evidence:
     return replace(USUAL, gloss=Gloss(strength=0.01, points=800, unevenness=share))
 
 
-def surface_rates(config: MethodConfig) -> list[float]:
-    rates = [option_of(getattr(config, slot), option) for slot, option in SURFACE_RATES]
-    return [rate for rate in rates if rate is not None]
+def weights(config: MethodConfig) -> dict[str, float]:
+    return {name_of(each): each.weight for each in config.losses}
 
 
 def test_equal_colours_are_compared_where_light_is_even() -> None:
@@ -69,17 +69,18 @@ def test_correlation_is_compared_where_colours_differ() -> None:
     assert changed["stereo"].measured["unevenness"] == 1.01 * UNEVEN_COLORS
     # They do not differ so much that the surface would be drawn away.
     assert "light" not in changed
-    assert surface_rates(config) == surface_rates(method())
+    assert weights(config) == weights(method())
 
 
-def test_the_surface_is_held_where_light_is_uneven() -> None:
+def test_the_surface_learns_from_agreement_where_light_is_uneven() -> None:
     config, changed = decided(uneven(1.01 * UNEVEN_LIGHT))
     assert name_of(config.initializer) == "stereo"
-    assert surface_rates(config) == pytest.approx([HELD_RATE * rate for rate in surface_rates(method())])
-    assert len(surface_rates(config)) >= 2
-    steps = method().trainer.outer_steps
-    assert config.trainer.outer_steps == min(HELD_STEPS, steps)
-    assert changed["light"].spared == {"outer steps": steps - config.trainer.outer_steps}
+    assert weights(config) == weights(method()) | {"photometric": 0.0, "consistency": 1.0}
+    (stage,) = config.trainer.stages
+    assert stage.inner_steps == 1
+    assert changed["light"].spared == {"inner steps per outer step": method().trainer.stages[0].inner_steps - 1}
+    # Colours as fine as pixels would be nothing to the surface.
+    assert option_of(config.binder, "gaussians_per_face") == 1
 
 
 def test_neither_correlation_nor_light_without_texture_or_evidence() -> None:
@@ -91,24 +92,30 @@ def test_neither_correlation_nor_light_without_texture_or_evidence() -> None:
     assert not {"stereo", "light"} & set(changed)
 
 
-def test_the_users_start_and_rates_are_kept_in_uneven_light() -> None:
+def test_the_users_start_and_losses_are_kept_in_uneven_light() -> None:
     start = registry.default("initializer", "visual-hull")
     assert isinstance(start, InitializerConfig)
     config, changed = decided(uneven(0.1), replace(method(), initializer=start))
     assert name_of(config.initializer) == "visual-hull"
     assert not {"stereo", "light"} & set(changed)
-    slot, option = next(pair for pair in SURFACE_RATES if option_of(getattr(method(), pair[0]), pair[1]) is not None)
-    given = with_options(method(), slot, **{option: 0.123})
+    given = without(method(), "losses", ["eikonal"])
     config, changed = decided(uneven(0.1), given)
-    assert surface_rates(config) == surface_rates(given)
-    assert config.trainer.outer_steps == given.trainer.outer_steps
-    assert set(changed) & {"stereo", "light"} == {"stereo"}
+    assert weights(config) == weights(given)
+    assert "stereo" in changed
+    assert "light" not in changed
 
 
-def test_holding_the_surface_is_switched_by_itself() -> None:
+def test_a_weight_by_hand_is_kept() -> None:
+    given = replace(method(), losses=(*method().losses, ConsistencyConfig(weight=0.3)))
+    config, changed = decided(uneven(0.1), given)
+    assert weights(config) == weights(given)
+    assert "light" not in changed
+
+
+def test_learning_from_agreement_is_switched_by_itself() -> None:
     config, changed = decided(uneven(0.1), replace(method(), plan=PlanConfig(mode="on", light="off")))
     assert name_of(config.initializer) == "stereo"
-    assert surface_rates(config) == surface_rates(method())
+    assert weights(config) == weights(method())
     assert "light" not in changed
 
 

@@ -1,0 +1,1 @@
+"""Photographs laid into each other through the surface."""

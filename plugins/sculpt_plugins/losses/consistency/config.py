@@ -1,0 +1,26 @@
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from sculpt_framework.config import LossConfig
+
+if TYPE_CHECKING:
+    from sculpt_plugins.losses.consistency.loss import Consistency
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConsistencyConfig(LossConfig):
+    """1 - normalised correlation of neighbouring photographs laid into each other through the surface."""
+
+    weight: float = 1.0
+    """Factor in the outer loss."""
+    views: int = 6
+    """Photographs looked at in an outer step."""
+    partners: int = 2
+    """Neighbours each of them is compared with."""
+    window: int = 7
+    """Pixels along the sides of the windows that are correlated."""
+
+    def build(self) -> "Consistency":
+        from sculpt_plugins.losses.consistency.loss import Consistency
+
+        return Consistency(self)

@@ -1,0 +1,97 @@
+"""Consistency between views (PGSR's and Geo-NeuS' idea, on the mesh itself)."""
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Float, Float64, Int64
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from sculpt_framework.export.mesh_pixels import visibility_slack
+from sculpt_framework.losses import TrainingImage, ViewsLoss
+from sculpt_framework.multi_view_stereo.agreement import Photograph, disagreement, look_at
+from sculpt_framework.multi_view_stereo.stereo_views import compared_with
+from sculpt_framework.threads import in_threads
+from sculpt_framework.types import Surface
+from sculpt_plugins.losses.consistency.config import ConsistencyConfig
+
+_CHOICE = 3
+"""Times as many neighbours as are compared with in one step: they take turns."""
+_SATURATED = 0.98
+"""Of a colour channel."""
+_LUMINANCE = torch.tensor([0.299, 0.587, 0.114])
+
+
+class Consistency(ViewsLoss):
+    """Mean over the pixels of the masks, so that it weighs as much as the photometric term where all is judged.
+
+    0, without a gradient, where no two views can be compared. Runs on the CPU whatever device the surface is on.
+    """
+
+    def __init__(self, config: ConsistencyConfig):
+        self._config = config
+        self._photographs: list[Photograph] = []
+        self._neighbours: list[Int64[np.ndarray, " _"]] = []
+
+    @property
+    def views(self) -> int:
+        return self._config.views
+
+    def begin(self, images: Sequence[TrainingImage]) -> None:
+        self._photographs = in_threads(_photograph, images)
+        positions = np.stack([each.camera.position.double().numpy() for each in self._photographs])
+        self._neighbours = compared_with(positions.astype(np.float32), _CHOICE * self._config.partners)
+
+    def __call__(self, surface: Surface, views: Sequence[int]) -> Float[Tensor, ""]:
+        pairs = self._pairs(views)
+        if not pairs:
+            return surface.vertices.new_zeros(())
+        vertices, faces = surface.vertices.detach().cpu().double().numpy(), surface.faces.cpu().numpy()
+        used = sorted({number for pair in pairs for number in pair})
+        seen = dict(
+            zip(used, in_threads(lambda number: look_at(self._photographs[number], vertices, faces), used), strict=True)
+        )
+        slack = visibility_slack(vertices)
+        found = in_threads(
+            lambda pair: disagreement(seen[pair[0]], seen[pair[1]], faces, self._config.window, slack), pairs
+        )
+        pixels = sum(int(self._photographs[first].usable.sum()) for first, _ in pairs)
+        total, gradient = sum(each.total for each in found), np.sum([each.gradient for each in found], axis=0)
+        return _Known.apply(surface.vertices, total / max(1, pixels), gradient / max(1, pixels))
+
+    def _pairs(self, views: Sequence[int]) -> list[tuple[int, int]]:
+        """Which neighbours' turn it is depends on the views alone, so that a run that is resumed takes the same."""
+        turn, pairs = sum(views), []
+        for view in views:
+            others = self._neighbours[view]
+            count = min(self._config.partners, len(others))
+            pairs += [(view, int(others[(turn * count + k) % len(others)])) for k in range(count)]
+        return pairs
+
+
+class _Known(torch.autograd.Function):
+    """A value whose gradient by the vertices is known already."""
+
+    @staticmethod
+    def forward(ctx, vertices: Float[Tensor, "v 3"], value: float, gradient: Float64[np.ndarray, "v 3"]):
+        ctx.save_for_backward(torch.from_numpy(gradient).to(vertices))
+        return vertices.new_tensor(value)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx, arriving: Float[Tensor, ""]):
+        (gradient,) = ctx.saved_tensors
+        return arriving * gradient, None, None
+
+
+def _photograph(image: TrainingImage) -> Photograph:
+    rgb = image.premultiplied.cpu()
+    inside = torch.ones(rgb.shape[:2]) if image.alpha is None else image.alpha.cpu()
+    usable = ((inside > 0.99) & (rgb.amax(dim=2) < _SATURATED)).numpy().astype(np.uint8)
+    # A sample takes pixels up to two away.
+    usable = cv2.erode(usable, np.ones((5, 5), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    return Photograph(
+        camera=image.camera, luminance=(rgb @ _LUMINANCE).numpy().astype(np.float32), usable=np.asarray(usable) > 0
+    )

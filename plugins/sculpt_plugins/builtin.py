@@ -28,6 +28,7 @@ BUILTIN: dict[str, dict[str, str]] = {
         "gsplat": "sculpt_plugins.rasterizers.gsplat.config:GsplatRasterizerConfig",
     },
     "losses": {
+        "bending": "sculpt_plugins.losses.bending.config:BendingConfig",
         "consistency": "sculpt_plugins.losses.consistency.config:ConsistencyConfig",
         "photometric": "sculpt_plugins.losses.photometric.config:PhotometricConfig",
         "silhouette": "sculpt_plugins.losses.silhouette.config:SilhouetteConfig",

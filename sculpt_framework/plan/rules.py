@@ -13,7 +13,7 @@ from sculpt_framework.plan.evidence import Evidence
 from sculpt_framework.plan.options import has_option, option_of, with_options, without
 from sculpt_framework.registry import name_of
 
-PHOTOMETRIC, CONSISTENCY = "photometric", "consistency"
+PHOTOMETRIC, CONSISTENCY, BENDING = "photometric", "consistency", "bending"
 HULLS = ("visual-hull", "photo-hull", "stereo")
 SILHOUETTE, CARVED, STEREO, HULL, NO_MASKS = "silhouette", "photo-hull", "stereo", "visual-hull", "sphere"
 BETWEEN_GAUSSIANS = ("spacing", "coverage")
@@ -29,7 +29,7 @@ what belongs together, only how they vary around a place."""
 UNEVEN_LIGHT = 0.03
 """The same share from which on the surface does not learn from colours: they would move it away from where views agree.
 It learns from how well photographs agree on it instead."""
-FOLLOWING_STEPS, OUTLINE_VIEWS = 1, 2
+FIRST_STEPS, FOLLOWING_STEPS, OUTLINE_VIEWS = 30, 1, 2
 """Then colours only have to follow the surface, for the viewer and for what is measured, until they are polished; and
 Gaussians are rendered for their outline alone."""
 CELL_PIXELS_LEAST = 1.0
@@ -143,10 +143,11 @@ def light(config: MethodConfig, evidence: Evidence) -> Ruling:
     if uneven < UNEVEN_LIGHT:
         return Ruling(config=config, value="as the method has it", evidence=why, measured=measured)
     terms = [replace(each, weight=0.0) if name_of(each) == PHOTOMETRIC else each for each in config.losses]
-    if CONSISTENCY not in map(name_of, terms):
-        term = registry.default("losses", CONSISTENCY)
-        assert isinstance(term, LossConfig)  # noqa: S101
-        terms.append(term)
+    for name in (CONSISTENCY, BENDING):
+        if name not in map(name_of, terms):
+            term = registry.default("losses", name)
+            assert isinstance(term, LossConfig)  # noqa: S101
+            terms.append(term)
     stages = tuple(
         replace(
             stage,
@@ -157,7 +158,12 @@ def light(config: MethodConfig, evidence: Evidence) -> Ruling:
     )
     fewer = config.trainer.stages[-1].inner_steps - stages[-1].inner_steps
     return Ruling(
-        config=with_options(replace(config, losses=tuple(terms)), "trainer", stages=stages),
+        config=with_options(
+            replace(config, losses=tuple(terms)),
+            "trainer",
+            stages=stages,
+            warm_up_steps=min(config.trainer.warm_up_steps, FIRST_STEPS),
+        ),
         value="the surface learns from agreement between views, not from colours",
         evidence=why,
         measured=measured,
@@ -384,7 +390,7 @@ STAGES = "trainer.stages"
 RULES: Sequence[Rule] = (
     Rule(item="silhouette", touches=("losses", "initializer"), decide=silhouette),
     Rule(item="stereo", touches=("initializer",), decide=stereo),
-    Rule(item="light", touches=("losses", STAGES), decide=light),
+    Rule(item="light", touches=("losses", STAGES, "trainer.warm_up_steps"), decide=light),
     Rule(item="views", touches=("skip_views",), decide=views),
     Rule(item="level", touches=(STAGES, "trainer.base_cells"), decide=level),
     Rule(item="images", touches=(STAGES,), decide=images),

@@ -75,7 +75,7 @@ def test_correlation_is_compared_where_colours_differ() -> None:
 def test_the_surface_learns_from_agreement_where_light_is_uneven() -> None:
     config, changed = decided(uneven(1.01 * UNEVEN_LIGHT))
     assert name_of(config.initializer) == "stereo"
-    assert weights(config) == weights(method()) | {"photometric": 0.0, "consistency": 1.0}
+    assert weights(config) == weights(method()) | {"photometric": 0.0, "consistency": 1.0, "bending": 0.2}
     (stage,) = config.trainer.stages
     assert stage.inner_steps == 1
     assert changed["light"].spared == {"inner steps per outer step": method().trainer.stages[0].inner_steps - 1}

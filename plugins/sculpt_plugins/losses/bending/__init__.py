@@ -1,0 +1,1 @@
+"""Bending between faces."""

@@ -14,6 +14,7 @@ from sculpt_plugins.extractors.flexicubes.config import FlexiCubesConfig
 from sculpt_plugins.fields.hash_grid.config import HashGridFieldConfig
 from sculpt_plugins.initializers.photo_hull.config import PhotoHullConfig
 from sculpt_plugins.initializers.visual_hull.config import VisualHullConfig
+from sculpt_plugins.losses.consistency.config import ConsistencyConfig
 from sculpt_plugins.losses.deviation.config import DeviationConfig
 from sculpt_plugins.losses.eikonal.config import EikonalConfig
 from sculpt_plugins.losses.photometric.config import PhotometricConfig
@@ -37,7 +38,14 @@ def gaussian_sculpting() -> MethodConfig:
         rasterizer=AutoRasterizerConfig(),
         initializer=PhotoHullConfig(),
         dataset=AutoDatasetConfig(),
-        losses=(PhotometricConfig(), SilhouetteConfig(), EikonalConfig(), SignChangeConfig(), DeviationConfig()),
+        losses=(
+            PhotometricConfig(),
+            SilhouetteConfig(),
+            EikonalConfig(),
+            SignChangeConfig(),
+            DeviationConfig(),
+            ConsistencyConfig(),
+        ),
         constraints=(MeeScaleConfig(), BoundaryConfig(), SpacingConfig(), CoverageConfig()),
         observers=(ConsoleConfig(), RecorderConfig()),
         trainer=TrainerConfig(
@@ -61,6 +69,7 @@ def gaussian_sculpting_tiny() -> MethodConfig:
         method="gaussian-sculpting-tiny",
         plan=PlanConfig(mode="off"),
         initializer=VisualHullConfig(cells=0),
+        losses=tuple(each for each in base.losses if not isinstance(each, ConsistencyConfig)),
         trainer=replace(
             base.trainer,
             outer_steps=24,

@@ -25,12 +25,11 @@ SPEAKING_LEAST = 0.02
 """Share of the object that stereo must be able to tell apart: below, depths are found in specks only."""
 UNEVEN_COLORS = 0.017
 """Share of its brightness by which a place differs between views from which on colours themselves are no measure of
-what belongs together, only how they vary around a place."""
-UNEVEN_LIGHT = 0.03
-"""The same share from which on the surface does not learn from colours: they would move it away from where views agree.
-It learns from how well photographs agree on it instead."""
+what belongs together, only how they vary around a place: neither for the start nor for what the surface learns."""
+AGREEING_VIEWS = 6
+"""Views compared with others in a step where the surface learns from nothing else."""
 FIRST_STEPS, FOLLOWING_STEPS, OUTLINE_VIEWS = 30, 1, 2
-"""Then colours only have to follow the surface, for the viewer and for what is measured, until they are polished; and
+"""There, colours only have to follow the surface, for the viewer and for what is measured, until they are polished; and
 Gaussians are rendered for their outline alone."""
 CELL_PIXELS_LEAST = 1.0
 """A cell narrower than a pixel is more than the images can tell."""
@@ -134,20 +133,52 @@ def _start(name: str, config: MethodConfig) -> InitializerConfig:
 
 
 def light(config: MethodConfig, evidence: Evidence) -> Ruling:
-    if evidence.gloss is None or name_of(config.initializer) != STEREO:
-        why = "how colours change with the view cannot be told" if evidence.gloss is None else "it starts otherwise"
+    names = [name_of(each) for each in config.losses]
+    if CONSISTENCY not in names:
+        return Ruling(config=config, value="as the method has it", evidence=f"there is no term of {CONSISTENCY}")
+    if evidence.speaking < SPEAKING_LEAST:
+        why = f"{100 * evidence.speaking:.1f} % of the object can be told apart from its surroundings in brightness"
+        return Ruling(
+            config=without(config, "losses", [CONSISTENCY]),
+            value="the surface learns from colours alone",
+            evidence=why,
+            measured={"speaking": evidence.speaking},
+            saves="the comparison of photographs with each other",
+            spared={"comparing terms": 1.0},
+        )
+    if evidence.gloss is None:
+        why = "how colours change with the view cannot be told"
         return Ruling(config=config, value="as the method has it", evidence=why)
     uneven = evidence.gloss.unevenness
     why = f"places differ by {100 * uneven:.1f} % of their brightness between views"
     measured = {"unevenness": uneven}
-    if uneven < UNEVEN_LIGHT:
-        return Ruling(config=config, value="as the method has it", evidence=why, measured=measured)
-    terms = [replace(each, weight=0.0) if name_of(each) == PHOTOMETRIC else each for each in config.losses]
-    for name in (CONSISTENCY, BENDING):
-        if name not in map(name_of, terms):
-            term = registry.default("losses", name)
-            assert isinstance(term, LossConfig)  # noqa: S101
-            terms.append(term)
+    if uneven < UNEVEN_COLORS:
+        value = "the surface learns from colours and from agreement between views"
+        return Ruling(config=config, value=value, evidence=why, measured=measured)
+    return Ruling(
+        config=_by_agreement(config),
+        value="the surface learns from agreement between views, not from colours",
+        evidence=why,
+        measured=measured,
+        saves="the photometric term of the outer loss, and most colour steps",
+        spared={"photometric terms": 1.0},
+    )
+
+
+def _by_agreement(config: MethodConfig) -> MethodConfig:
+    """Colours follow the surface instead of teaching it, and what says nothing is smoothed."""
+    terms: list[LossConfig] = []
+    for each in config.losses:
+        if name_of(each) == PHOTOMETRIC:
+            terms.append(replace(each, weight=0.0))
+        elif name_of(each) == CONSISTENCY and has_option(each, "views"):
+            terms.append(replace(each, **{"views": max(AGREEING_VIEWS, option_of(each, "views"))}))
+        else:
+            terms.append(each)
+    if BENDING not in map(name_of, terms):
+        term = registry.default("losses", BENDING)
+        assert isinstance(term, LossConfig)  # noqa: S101
+        terms.append(term)
     stages = tuple(
         replace(
             stage,
@@ -156,20 +187,9 @@ def light(config: MethodConfig, evidence: Evidence) -> Ruling:
         )
         for stage in config.trainer.stages
     )
-    fewer = config.trainer.stages[-1].inner_steps - stages[-1].inner_steps
-    return Ruling(
-        config=with_options(
-            replace(config, losses=tuple(terms)),
-            "trainer",
-            stages=stages,
-            warm_up_steps=min(config.trainer.warm_up_steps, FIRST_STEPS),
-        ),
-        value="the surface learns from agreement between views, not from colours",
-        evidence=why,
-        measured=measured,
-        saves=f"the photometric term of the outer loss, {fewer} colour steps of each outer step",
-        spared={"inner steps per outer step": float(fewer)},
-    )
+    steps = min(config.trainer.warm_up_steps, FIRST_STEPS)
+    decided = replace(config, losses=tuple(terms))
+    return with_options(decided, "trainer", stages=stages, warm_up_steps=steps)
 
 
 def views(config: MethodConfig, evidence: Evidence) -> Ruling:

@@ -11,9 +11,8 @@ from sculpt_framework.plan.directions import Gloss
 from sculpt_framework.plan.evidence import Evidence
 from sculpt_framework.plan.make import decide
 from sculpt_framework.plan.options import option_of, with_options, without
-from sculpt_framework.plan.rules import UNEVEN_COLORS, UNEVEN_LIGHT
+from sculpt_framework.plan.rules import UNEVEN_COLORS
 from sculpt_framework.registry import name_of
-from sculpt_plugins.losses.consistency.config import ConsistencyConfig
 
 USUAL = Evidence(
     views=100,
@@ -67,28 +66,30 @@ def test_correlation_is_compared_where_colours_differ() -> None:
     assert name_of(config.initializer) == "stereo"
     assert option_of(config.initializer, "max_views") == option_of(method().initializer, "max_views")
     assert changed["stereo"].measured["unevenness"] == 1.01 * UNEVEN_COLORS
-    # They do not differ so much that the surface would be drawn away.
-    assert "light" not in changed
-    assert weights(config) == weights(method())
 
 
 def test_the_surface_learns_from_agreement_where_light_is_uneven() -> None:
-    config, changed = decided(uneven(1.01 * UNEVEN_LIGHT))
-    assert name_of(config.initializer) == "stereo"
-    assert weights(config) == weights(method()) | {"photometric": 0.0, "consistency": 1.0, "bending": 0.2}
+    config, changed = decided(uneven(1.01 * UNEVEN_COLORS))
+    assert weights(config) == weights(method()) | {"photometric": 0.0, "bending": 0.2}
+    assert weights(config)["consistency"] == 1
     (stage,) = config.trainer.stages
     assert stage.inner_steps == 1
-    assert changed["light"].spared == {"inner steps per outer step": method().trainer.stages[0].inner_steps - 1}
+    assert changed["light"].measured == {"unevenness": 1.01 * UNEVEN_COLORS}
     # Colours as fine as pixels would be nothing to the surface.
     assert option_of(config.binder, "gaussians_per_face") == 1
 
 
-def test_neither_correlation_nor_light_without_texture_or_evidence() -> None:
+def test_nothing_is_compared_without_texture() -> None:
     config, changed = decided(replace(uneven(0.1), speaking=0.01))
     assert name_of(config.initializer) == "visual-hull"
-    assert "light" not in changed
+    assert "consistency" not in weights(config)
+    assert "colours alone" in changed["light"].value
+
+
+def test_without_evidence_of_light_both_are_learned_from() -> None:
     config, changed = decided(replace(USUAL, gloss=None))
     assert name_of(config.initializer) == "photo-hull"
+    assert weights(config) == weights(method())
     assert not {"stereo", "light"} & set(changed)
 
 
@@ -97,18 +98,11 @@ def test_the_users_start_and_losses_are_kept_in_uneven_light() -> None:
     assert isinstance(start, InitializerConfig)
     config, changed = decided(uneven(0.1), replace(method(), initializer=start))
     assert name_of(config.initializer) == "visual-hull"
-    assert not {"stereo", "light"} & set(changed)
+    assert "stereo" not in changed
     given = without(method(), "losses", ["eikonal"])
     config, changed = decided(uneven(0.1), given)
     assert weights(config) == weights(given)
     assert "stereo" in changed
-    assert "light" not in changed
-
-
-def test_a_weight_by_hand_is_kept() -> None:
-    given = replace(method(), losses=(*method().losses, ConsistencyConfig(weight=0.3)))
-    config, changed = decided(uneven(0.1), given)
-    assert weights(config) == weights(given)
     assert "light" not in changed
 
 

@@ -13,7 +13,7 @@ class ConsistencyConfig(LossConfig):
 
     weight: float = 1.0
     """Factor in the outer loss."""
-    views: int = 6
+    views: int = 4
     """Photographs looked at in an outer step."""
     partners: int = 2
     """Neighbours each of them is compared with."""

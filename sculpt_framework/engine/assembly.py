@@ -105,8 +105,10 @@ def build_extractor(config: MethodConfig, box: Box, grid: Grid, device: torch.de
     return extractor
 
 
-def spare_cells(extractor: Extractor, config: TrainerConfig, images: Sequence[TrainingImage]) -> None:
-    """Have the extractor use larger cells where these images, a stage's, would not show the smaller ones."""
+def take_images(trainer: BiLevelTrainer, config: TrainerConfig, images: Sequence[TrainingImage]) -> None:
+    """A stage's images: terms compare them, and the extractor uses larger cells where they would not show smaller."""
+    trainer.take_images(images)
+    extractor = trainer.extractor
     if config.cell_pixels is not None and isinstance(extractor, RefiningExtractor):
         worth = level_map(extractor.grid, [image.camera for image in images], config.cell_pixels)
         extractor.set_worth(LevelMap(levels=worth.levels.to(images[0].premultiplied.device)))

@@ -65,8 +65,7 @@ class Pipeline:
         self.clock = TrainingClock(started if started is not None else process_start(), idle=self._compiling)
         self.outer = 0
         self._emit_event = emit
-        self._should_stop = should_stop
-        self._save = save
+        self._should_stop, self._save = should_stop, save
         self._generator = torch.Generator().manual_seed(config.seed)
         self._parts = assembly.build_parts(config, self.scene.box, self._generator, processes)
         self._trainer = self._parts.trainer
@@ -175,8 +174,7 @@ class Pipeline:
         box, device, number = self.scene.box, self._parts.device, self.config.trainer.stages.index(stage)
         foresight.check_memory(self._trainer, self._views, box, stage, number, self.warn)
         self._images = prepare_images(self._views, box, stage.image_scale, device)
-        self._trainer.take_images(self._images)
-        assembly.spare_cells(self._trainer.extractor, self.config.trainer, self._images)
+        assembly.take_images(self._trainer, self.config.trainer, self._images)
         self._trainer.scene.blur = math.sqrt(self.config.trainer.low_pass_px2) * pixel_footprint(self._images)
 
     def _step(self, stage: StageConfig, progress: float) -> None:

@@ -8,7 +8,8 @@ from sculpt_framework.errors import ComponentImportError, UnknownComponentError
 from sculpt_framework.plan.decision import Decision, ScenePlan
 from sculpt_framework.plan.evidence import Evidence, gather
 from sculpt_framework.plan.options import set_by_hand
-from sculpt_framework.plan.rules import RULES, Rule
+from sculpt_framework.plan.rules import RULES
+from sculpt_framework.plan.ruling import Rule
 from sculpt_framework.types import Scene
 from sculpt_framework.validation import check
 

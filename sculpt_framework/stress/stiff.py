@@ -126,9 +126,15 @@ def curves() -> list[Curve]:
 
 
 def standard() -> MethodConfig:
-    """What is changed: the small method with three Gaussians on a face, so that all constraints are at work."""
+    """What is changed: the small method with three Gaussians on a face, so that all constraints are at work, and with
+    the terms that a plan uses for photographs."""
     config = small_method(outer_steps=_STEPS, inner_steps=3)
-    return replace(config, binder=replace(config.binder, gaussians_per_face=3))  # pyright: ignore[reportCallIssue]
+    more = [registry.default("losses", name) for name in ("consistency", "bending")]
+    return replace(
+        config,
+        losses=(*config.losses, *more),
+        binder=replace(config.binder, gaussians_per_face=3),  # pyright: ignore[reportCallIssue]
+    )
 
 
 def settings() -> Iterator[tuple[str, str, MethodConfig]]:

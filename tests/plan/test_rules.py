@@ -7,11 +7,11 @@ from planned_scenes import decided, method
 
 from sculpt_framework import registry
 from sculpt_framework.config import InitializerConfig, MethodConfig, PlanConfig
+from sculpt_framework.plan.agreement import UNEVEN_COLORS
 from sculpt_framework.plan.directions import Gloss
 from sculpt_framework.plan.evidence import Evidence
 from sculpt_framework.plan.make import decide
 from sculpt_framework.plan.options import option_of, with_options, without
-from sculpt_framework.plan.rules import UNEVEN_COLORS
 from sculpt_framework.registry import name_of
 
 USUAL = Evidence(

@@ -1,0 +1,122 @@
+"""Rules about what photographs say of each other: where the surface starts from, and what it learns from."""
+
+from dataclasses import replace
+
+from sculpt_framework import registry
+from sculpt_framework.config import InitializerConfig, LossConfig, MethodConfig
+from sculpt_framework.plan.evidence import Evidence
+from sculpt_framework.plan.options import has_option, option_of, with_options, without
+from sculpt_framework.plan.ruling import Ruling
+from sculpt_framework.registry import name_of
+
+PHOTOMETRIC, CONSISTENCY, BENDING = "photometric", "consistency", "bending"
+CARVED, STEREO, HULL = "photo-hull", "stereo", "visual-hull"
+SPEAKING_LEAST = 0.02
+"""Share of the object that stereo must be able to tell apart: below, depths are found in specks only."""
+UNEVEN_COLORS = 0.017
+"""Share of its brightness by which a place differs between views from which on colours themselves are no measure of
+what belongs together, only how they vary around a place: neither for the start nor for what the surface learns."""
+AGREEING_VIEWS = 6
+"""Views compared with others in a step where the surface learns from nothing else."""
+FIRST_STEPS, FOLLOWING_STEPS, OUTLINE_VIEWS = 30, 1, 2
+"""There, colours only have to follow the surface, for the viewer and for what is measured, until they are polished; and
+Gaussians are rendered for their outline alone."""
+
+
+def stereo(config: MethodConfig, evidence: Evidence) -> Ruling:
+    measured = {"speaking": evidence.speaking}
+    why = f"{100 * evidence.speaking:.1f} % of the object can be told apart from its surroundings in brightness"
+    if name_of(config.initializer) != CARVED:
+        return Ruling(config=config, value="as the method starts", evidence=why, measured=measured)
+    if evidence.speaking < SPEAKING_LEAST:
+        maps = option_of(config.initializer, "maps")
+        spared = {"depth maps": float(min(maps or 0, evidence.views))}
+        return Ruling(
+            config=replace(config, initializer=_start(HULL, config)),
+            value="start from the visual hull alone",
+            evidence=why,
+            measured=measured,
+            saves=f"{spared['depth maps']:.0f} depth maps and their fusion",
+            spared=spared,
+        )
+    if evidence.gloss is None:
+        return Ruling(config=config, value="as the method starts", evidence=why, measured=measured)
+    uneven = evidence.gloss.unevenness
+    why += f"; places differ by {100 * uneven:.1f} % of their brightness between views"
+    measured["unevenness"] = uneven
+    if uneven < UNEVEN_COLORS:
+        return Ruling(config=config, value="as the method starts", evidence=why, measured=measured)
+    return Ruling(
+        config=replace(config, initializer=_start(STEREO, config)),
+        value="start from normalised correlation, not from equal colours",
+        evidence=why,
+        measured=measured,
+    )
+
+
+def _start(name: str, config: MethodConfig) -> InitializerConfig:
+    """The initializer of that name, with as many views as the method's own."""
+    start = registry.default("initializer", name)
+    assert isinstance(start, InitializerConfig)  # noqa: S101
+    views = option_of(config.initializer, "max_views")
+    return replace(start, **{"max_views": views}) if has_option(start, "max_views") and views is not None else start
+
+
+def light(config: MethodConfig, evidence: Evidence) -> Ruling:
+    names = [name_of(each) for each in config.losses]
+    if CONSISTENCY not in names:
+        return Ruling(config=config, value="as the method has it", evidence=f"there is no term of {CONSISTENCY}")
+    if evidence.speaking < SPEAKING_LEAST:
+        why = f"{100 * evidence.speaking:.1f} % of the object can be told apart from its surroundings in brightness"
+        return Ruling(
+            config=without(config, "losses", [CONSISTENCY]),
+            value="the surface learns from colours alone",
+            evidence=why,
+            measured={"speaking": evidence.speaking},
+            saves="the comparison of photographs with each other",
+            spared={"comparing terms": 1.0},
+        )
+    if evidence.gloss is None:
+        why = "how colours change with the view cannot be told"
+        return Ruling(config=config, value="as the method has it", evidence=why)
+    uneven = evidence.gloss.unevenness
+    why = f"places differ by {100 * uneven:.1f} % of their brightness between views"
+    measured = {"unevenness": uneven}
+    if uneven < UNEVEN_COLORS:
+        value = "the surface learns from colours and from agreement between views"
+        return Ruling(config=config, value=value, evidence=why, measured=measured)
+    return Ruling(
+        config=_by_agreement(config),
+        value="the surface learns from agreement between views, not from colours",
+        evidence=why,
+        measured=measured,
+        saves="the photometric term of the outer loss, and most colour steps",
+        spared={"photometric terms": 1.0},
+    )
+
+
+def _by_agreement(config: MethodConfig) -> MethodConfig:
+    """Colours follow the surface instead of teaching it, and what says nothing is smoothed."""
+    terms: list[LossConfig] = []
+    for each in config.losses:
+        if name_of(each) == PHOTOMETRIC:
+            terms.append(replace(each, weight=0.0))
+        elif name_of(each) == CONSISTENCY and has_option(each, "views"):
+            terms.append(replace(each, **{"views": max(AGREEING_VIEWS, option_of(each, "views"))}))
+        else:
+            terms.append(each)
+    if BENDING not in map(name_of, terms):
+        term = registry.default("losses", BENDING)
+        assert isinstance(term, LossConfig)  # noqa: S101
+        terms.append(term)
+    stages = tuple(
+        replace(
+            stage,
+            inner_steps=min(stage.inner_steps, FOLLOWING_STEPS),
+            outer_views=min(stage.outer_views, OUTLINE_VIEWS),
+        )
+        for stage in config.trainer.stages
+    )
+    steps = min(config.trainer.warm_up_steps, FIRST_STEPS)
+    decided = replace(config, losses=tuple(terms))
+    return with_options(decided, "trainer", stages=stages, warm_up_steps=steps)

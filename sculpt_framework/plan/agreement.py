@@ -15,7 +15,10 @@ SPEAKING_LEAST = 0.02
 """Share of the object that stereo must be able to tell apart: below, depths are found in specks only."""
 UNEVEN_COLORS = 0.017
 """Share of its brightness by which a place differs between views from which on colours themselves are no measure of
-what belongs together, only how they vary around a place: neither for the start nor for what the surface learns."""
+what belongs together, only how they vary around a place."""
+UNEVEN_LIGHT = 0.03
+"""The same share from which on the surface does not learn from colours either: they would move it away from where views
+agree."""
 AGREEING_VIEWS = 6
 """Views compared with others in a step where the surface learns from nothing else."""
 FIRST_STEPS, FOLLOWING_STEPS, OUTLINE_VIEWS = 30, 1, 2
@@ -82,7 +85,7 @@ def light(config: MethodConfig, evidence: Evidence) -> Ruling:
     uneven = evidence.gloss.unevenness
     why = f"places differ by {100 * uneven:.1f} % of their brightness between views"
     measured = {"unevenness": uneven}
-    if uneven < UNEVEN_COLORS:
+    if uneven < UNEVEN_LIGHT:
         value = "the surface learns from colours and from agreement between views"
         return Ruling(config=config, value=value, evidence=why, measured=measured)
     return Ruling(

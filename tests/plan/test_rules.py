@@ -7,7 +7,7 @@ from planned_scenes import decided, method
 
 from sculpt_framework import registry
 from sculpt_framework.config import InitializerConfig, MethodConfig, PlanConfig
-from sculpt_framework.plan.agreement import UNEVEN_COLORS
+from sculpt_framework.plan.agreement import UNEVEN_COLORS, UNEVEN_LIGHT
 from sculpt_framework.plan.directions import Gloss
 from sculpt_framework.plan.evidence import Evidence
 from sculpt_framework.plan.make import decide
@@ -69,12 +69,15 @@ def test_correlation_is_compared_where_colours_differ() -> None:
 
 
 def test_the_surface_learns_from_agreement_where_light_is_uneven() -> None:
-    config, changed = decided(uneven(1.01 * UNEVEN_COLORS))
+    config, changed = decided(uneven(0.99 * UNEVEN_LIGHT))
+    assert weights(config) == weights(method())
+    assert "light" not in changed
+    config, changed = decided(uneven(1.01 * UNEVEN_LIGHT))
     assert weights(config) == weights(method()) | {"photometric": 0.0, "bending": 0.2}
     assert weights(config)["consistency"] == 1
     (stage,) = config.trainer.stages
     assert stage.inner_steps == 1
-    assert changed["light"].measured == {"unevenness": 1.01 * UNEVEN_COLORS}
+    assert changed["light"].measured == {"unevenness": 1.01 * UNEVEN_LIGHT}
     # Colours as fine as pixels would be nothing to the surface.
     assert option_of(config.binder, "gaussians_per_face") == 1
 

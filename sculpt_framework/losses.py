@@ -64,5 +64,8 @@ class ViewsLoss(ABC):
         """A stage begins, in which these are the images."""
 
     @abstractmethod
-    def __call__(self, surface: Surface, views: Sequence[int]) -> Float[Tensor, ""]:
-        """The mean over these views, by their numbers among the stage's images. ``surface`` is in the object frame."""
+    def __call__(self, surface: Surface, views: Sequence[int], step: int) -> Float[Tensor, ""]:
+        """The mean over these views, by their numbers among the stage's images. ``surface`` is in the object frame.
+
+        ``step`` counts outer steps, also over a pause and in several processes: what takes turns goes by it.
+        """

@@ -301,7 +301,8 @@ class BiLevelTrainer:
         mine = [drawn[number] for number in self.processes.share(len(drawn))]
         leaf, value = surface.vertices.detach().requires_grad_(), 0.0
         if mine:
-            term = objective.weight * len(mine) / len(drawn) * objective.term(replace(surface, vertices=leaf), mine)
+            mean = objective.term(replace(surface, vertices=leaf), mine, self.optimizer.taken)
+            term = objective.weight * len(mine) / len(drawn) * mean
             value = float(term.detach())
             if term.requires_grad:
                 term.backward()

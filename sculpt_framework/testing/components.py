@@ -328,7 +328,7 @@ def _check_views_loss(term: ViewsLoss, device: torch.device) -> None:
         term.begin(given)
         surface = tetrahedron(device=device)
         vertices = surface.vertices.detach().requires_grad_()
-        value = term(replace(surface, vertices=vertices), range(min(term.views, len(given))))
+        value = term(replace(surface, vertices=vertices), range(min(term.views, len(given))), 0)
         require(value.shape == (), "a term of views is not one number")
         require(bool(torch.isfinite(value.detach())), f"the term is {float(value.detach())}")
         _require_finite_slopes(value, [vertices])

@@ -172,7 +172,7 @@ def test_descent_mends_a_ball():
     optimizer = torch.optim.Adam([shape.vertices], lr=1e-3)
     for step in range(40):
         optimizer.zero_grad()
-        term(shape, [step % 6, (step + 2) % 6, (step + 4) % 6]).backward()
+        term(shape, [step % 6, (step + 2) % 6, (step + 4) % 6], step).backward()
         # Vertices on their own would crumple: neighbours move together.
         assert shape.vertices.grad is not None
         shape.vertices.grad = smoothed(shape, shape.vertices.grad)
@@ -199,8 +199,30 @@ def test_the_same_views_mean_the_same_pairs():
     for each in (term, again):
         each.begin(images(6))
     shape = surface(0.97 * RADIUS)
-    term(shape, [0])
-    assert torch.equal(term(shape, [1, 3]).detach(), again(shape, [1, 3]).detach())
+    term(shape, [0], 0)
+    assert torch.equal(term(shape, [1, 3], 5).detach(), again(shape, [1, 3], 5).detach())
+
+
+def test_shares_of_the_views_add_up():
+    """As processes divide them: to the same value and gradient."""
+    term = ConsistencyConfig().build()
+    term.begin(images(6))
+    together, apart = surface(0.98 * RADIUS), surface(0.98 * RADIUS)
+    whole = term(together, [0, 2, 3], 4)
+    parts = (term(apart, [0, 2], 4) * 2 + term(apart, [3], 4)) / 3
+    assert float(whole.detach()) == pytest.approx(float(parts.detach()), rel=1e-6)
+    whole.backward()
+    parts.backward()
+    assert together.vertices.grad is not None
+    assert apart.vertices.grad is not None
+    torch.testing.assert_close(together.vertices.grad, apart.vertices.grad, rtol=1e-4, atol=1e-7)
+
+
+def test_partners_take_turns():
+    term = ConsistencyConfig(partners=1).build()
+    term.begin(images(6))
+    shape = surface(0.98 * RADIUS)
+    assert len({float(term(shape, [2], step).detach()) for step in range(3)}) == 3
 
 
 def test_views_on_opposite_sides_say_nothing():
@@ -211,6 +233,6 @@ def test_views_on_opposite_sides_say_nothing():
         for n, each in enumerate(cameras)
     ]
     term.begin(given)
-    value = term(surface(RADIUS), [0, 1])
+    value = term(surface(RADIUS), [0, 1], 0)
     assert float(value) == 0
     assert not value.requires_grad

@@ -11,7 +11,7 @@ from torch.autograd.function import once_differentiable
 
 from sculpt_framework.export.mesh_pixels import visibility_slack
 from sculpt_framework.losses import TrainingImage, ViewsLoss
-from sculpt_framework.multi_view_stereo.agreement import Photograph, disagreement, look_at
+from sculpt_framework.multi_view_stereo.agreement import Disagreement, Photograph, disagreement, look_at
 from sculpt_framework.multi_view_stereo.stereo_views import compared_with
 from sculpt_framework.threads import in_threads
 from sculpt_framework.types import Surface
@@ -44,31 +44,32 @@ class Consistency(ViewsLoss):
         positions = np.stack([each.camera.position.double().numpy() for each in self._photographs])
         self._neighbours = compared_with(positions.astype(np.float32), _CHOICE * self._config.partners)
 
-    def __call__(self, surface: Surface, views: Sequence[int]) -> Float[Tensor, ""]:
-        pairs = self._pairs(views)
+    def __call__(self, surface: Surface, views: Sequence[int], step: int) -> Float[Tensor, ""]:
+        pairs = [(view, other) for view in views for other in self._partners(view, step)]
         if not pairs:
             return surface.vertices.new_zeros(())
         vertices, faces = surface.vertices.detach().cpu().double().numpy(), surface.faces.cpu().numpy()
         used = sorted({number for pair in pairs for number in pair})
-        seen = dict(
-            zip(used, in_threads(lambda number: look_at(self._photographs[number], vertices, faces), used), strict=True)
-        )
-        slack = visibility_slack(vertices)
-        found = in_threads(
-            lambda pair: disagreement(seen[pair[0]], seen[pair[1]], faces, self._config.window, slack), pairs
-        )
-        pixels = sum(int(self._photographs[first].usable.sum()) for first, _ in pairs)
-        total, gradient = sum(each.total for each in found), np.sum([each.gradient for each in found], axis=0)
-        return _Known.apply(surface.vertices, total / max(1, pixels), gradient / max(1, pixels))
+        drawn = in_threads(lambda number: look_at(self._photographs[number], vertices, faces), used)
+        seen, slack = dict(zip(used, drawn, strict=True)), visibility_slack(vertices)
 
-    def _pairs(self, views: Sequence[int]) -> list[tuple[int, int]]:
-        """Which neighbours' turn it is depends on the views alone, so that a run that is resumed takes the same."""
-        turn, pairs = sum(views), []
-        for view in views:
-            others = self._neighbours[view]
-            count = min(self._config.partners, len(others))
-            pairs += [(view, int(others[(turn * count + k) % len(others)])) for k in range(count)]
-        return pairs
+        def compare(pair: tuple[int, int]) -> Disagreement:
+            return disagreement(seen[pair[0]], seen[pair[1]], faces, self._config.window, slack)
+
+        # The mean of the views' means, so that shares of the views, in several processes, add up to the same.
+        value, gradient = 0.0, np.zeros_like(vertices)
+        for (view, _), found in zip(pairs, in_threads(compare, pairs), strict=True):
+            pixels = max(1, int(self._photographs[view].usable.sum()))
+            share = 1 / (len(views) * len(self._partners(view, step)) * pixels)
+            value += share * found.total
+            gradient += share * found.gradient
+        return _Known.apply(surface.vertices, value, gradient)
+
+    def _partners(self, view: int, step: int) -> list[int]:
+        """The neighbours whose turn it is."""
+        others = self._neighbours[view]
+        count = min(self._config.partners, len(others))
+        return [int(others[(step * count + k) % len(others)]) for k in range(count)]
 
 
 class _Known(torch.autograd.Function):

@@ -10,7 +10,7 @@ from jaxtyping import Float32, Float64, Int32, Int64, UInt8
 from sculpt_framework.cpu_kernels import kernel_cache
 from sculpt_framework.evaluation.image_pairs import PreparedImage
 from sculpt_framework.evaluation.mesh import Mesh
-from sculpt_framework.export.mesh_pixels import MeshPixels, farthest_around, lens_values
+from sculpt_framework.export.mesh_pixels import MeshPixels, farthest_around, from_camera_to_camera, lens_values
 
 with kernel_cache("evaluation", Path(__file__).with_name("warp_kernels.py")):
     from sculpt_framework.evaluation import warp_kernels as kernels
@@ -73,12 +73,10 @@ def residuals(mesh: Mesh, first: SeenMesh, second: SeenMesh, slack: float) -> Re
 
 
 def _project(first: SeenMesh, second: SeenMesh, slack: float) -> _Warp:
-    depth, cameras = first.pixels.depth, [each.image.camera for each in (first, second)]
+    depth, cameras = first.pixels.depth, (first.image.camera, second.image.camera)
     places, slopes = np.empty((*depth.shape, 2), np.float32), np.zeros((*depth.shape, 2), np.float32)
     state = np.zeros(depth.shape, np.uint8)
-    pose, target = (camera.world_to_camera.double().numpy() for camera in cameras)
-    between = target @ np.linalg.inv(pose)
-    rotation, shift = np.ascontiguousarray(between[:3, :3]), np.ascontiguousarray(between[:3, 3])
+    rotation, shift = from_camera_to_camera(*cameras)
     lens, other = (lens_values(camera) for camera in cameras)
     farthest = farthest_around(second.pixels.depth)
     kernels.project(depth, lens, rotation, shift, other, farthest, slack, places, slopes, state)

@@ -54,6 +54,15 @@ def lens_values(camera: Camera) -> Float64[np.ndarray, " 4"]:
     return np.array([camera.fx, camera.fy, camera.cx, camera.cy])
 
 
+def from_camera_to_camera(
+    first: Camera, second: Camera
+) -> tuple[Float64[np.ndarray, "3 3"], Float64[np.ndarray, " 3"]]:
+    """Rotation and shift that lead from the first camera's frame into the second's."""
+    pose, target = (camera.world_to_camera.double().numpy() for camera in (first, second))
+    between = target @ np.linalg.inv(pose)
+    return np.ascontiguousarray(between[:3, :3]), np.ascontiguousarray(between[:3, 3])
+
+
 def draw_mesh(vertices: Vertices, faces: Faces, camera: Camera, *, closed: bool = False) -> MeshPixels:
     """Mesh and camera in the same frame. Faces that reach behind the camera are left out.
 

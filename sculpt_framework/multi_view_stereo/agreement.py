@@ -13,7 +13,15 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64
 
 from sculpt_framework.cpu_kernels import kernel_cache
-from sculpt_framework.export.mesh_pixels import Faces, MeshPixels, Vertices, draw_mesh, farthest_around, lens_values
+from sculpt_framework.export.mesh_pixels import (
+    Faces,
+    MeshPixels,
+    Vertices,
+    draw_mesh,
+    farthest_around,
+    from_camera_to_camera,
+    lens_values,
+)
 from sculpt_framework.types import Camera
 
 with kernel_cache("stereo", Path(__file__).with_name("agreement_kernels.py")):
@@ -90,13 +98,12 @@ def disagreement(first: SeenSurface, second: SeenSurface, faces: Faces, window: 
     here, there = first.photograph, second.photograph
     image, kind = here.luminance, here.luminance.dtype
     laid, by_normal, shared = np.empty(image.shape, kind), np.empty(image.shape, kind), np.empty(image.shape, bool)
-    pose, target = (each.camera.world_to_camera.double().numpy() for each in (here, there))
-    between = target @ np.linalg.inv(pose)
+    rotation, shift = from_camera_to_camera(here.camera, there.camera)
     seen = first.pixels
     kernels.lay(
-        seen.face, first.planes, lens_values(here.camera), here.usable, np.ascontiguousarray(between[:3, :3]),
-        np.ascontiguousarray(between[:3, 3]), lens_values(there.camera), there.luminance, there.usable,
-        second.farthest, slack, _LEAST_COSINE, laid, by_normal, shared,
+        seen.face, first.planes, lens_values(here.camera), here.usable, rotation, shift,
+        lens_values(there.camera), there.luminance, there.usable, second.farthest, slack, _LEAST_COSINE,
+        laid, by_normal, shared,
     )  # fmt: skip
     parts, slope, half = np.empty((*image.shape, 4), kind), np.empty(image.shape, kind), window // 2
     filled = _FILLED * window**2
@@ -104,4 +111,6 @@ def disagreement(first: SeenSurface, second: SeenSurface, faces: Faces, window: 
     kernels.by_laid(image, laid, shared, half, parts, slope)
     local = np.zeros((first.vertices, 3))
     kernels.to_corners(slope, by_normal, seen.face, seen.weights, first.planes, faces, local)
-    return Disagreement(total=total, judged=judged, gradient=local @ pose[:3, :3])
+    return Disagreement(
+        total=total, judged=judged, gradient=local @ here.camera.world_to_camera.double().numpy()[:3, :3]
+    )

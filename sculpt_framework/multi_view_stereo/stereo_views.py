@@ -13,9 +13,9 @@ from sculpt_framework.types import Camera, View
 
 _MARGIN = 2
 """Pixels of the input kept around the object."""
-_SATURATED = 0.98
+SATURATED = 0.98
 """A colour channel from which on it says only that there was much light."""
-_LUMINANCE = np.array([0.299, 0.587, 0.114], np.float32)
+LUMINANCE = np.array([0.299, 0.587, 0.114], np.float32)
 _AIM, _NARROW, _WIDE = 12.0, 5.0, 12.0
 """Degrees between two views that are compared at best, and how fast they count less below and above: more moves the
 image more per step of depth, but distorts it and hides more."""
@@ -140,8 +140,8 @@ def _prepare(view: View, pixels_per_unit: float) -> _Part | None:
     scale = min(1.0, pixels_per_unit * distance / max(camera.fx, camera.fy))
     size = max(1, round(camera.width * scale)), max(1, round(camera.height * scale))
     # Multiplied by the coverage, so that what is beside the object is not mixed in, and divided by it again.
-    saturated = (rgb.max(axis=2) >= _SATURATED).astype(np.float32)
-    layers = np.dstack([(rgb @ _LUMINANCE) * alpha, alpha, saturated])
+    saturated = (rgb.max(axis=2) >= SATURATED).astype(np.float32)
+    layers = np.dstack([(rgb @ LUMINANCE) * alpha, alpha, saturated])
     luminance, coverage, blown = np.moveaxis(cv2.resize(layers, size, interpolation=cv2.INTER_AREA), 2, 0)
     return _Part(
         camera=camera.resized(*size),

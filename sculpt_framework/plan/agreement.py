@@ -28,7 +28,7 @@ Gaussians are rendered for their outline alone."""
 
 def stereo(config: MethodConfig, evidence: Evidence) -> Ruling:
     measured = {"speaking": evidence.speaking}
-    why = f"{100 * evidence.speaking:.1f} % of the object can be told apart from its surroundings in brightness"
+    why = _speaking(evidence)
     if name_of(config.initializer) != CARVED:
         return Ruling(config=config, value="as the method starts", evidence=why, measured=measured)
     if evidence.speaking < SPEAKING_LEAST:
@@ -45,7 +45,7 @@ def stereo(config: MethodConfig, evidence: Evidence) -> Ruling:
     if evidence.gloss is None:
         return Ruling(config=config, value="as the method starts", evidence=why, measured=measured)
     uneven = evidence.gloss.unevenness
-    why += f"; places differ by {100 * uneven:.1f} % of their brightness between views"
+    why += f"; {_differing(uneven)}"
     measured["unevenness"] = uneven
     if uneven < UNEVEN_COLORS:
         return Ruling(config=config, value="as the method starts", evidence=why, measured=measured)
@@ -70,11 +70,10 @@ def light(config: MethodConfig, evidence: Evidence) -> Ruling:
     if CONSISTENCY not in names:
         return Ruling(config=config, value="as the method has it", evidence=f"there is no term of {CONSISTENCY}")
     if evidence.speaking < SPEAKING_LEAST:
-        why = f"{100 * evidence.speaking:.1f} % of the object can be told apart from its surroundings in brightness"
         return Ruling(
             config=without(config, "losses", [CONSISTENCY]),
             value="the surface learns from colours alone",
-            evidence=why,
+            evidence=_speaking(evidence),
             measured={"speaking": evidence.speaking},
             saves="the comparison of photographs with each other",
             spared={"comparing terms": 1.0},
@@ -83,7 +82,7 @@ def light(config: MethodConfig, evidence: Evidence) -> Ruling:
         why = "how colours change with the view cannot be told"
         return Ruling(config=config, value="as the method has it", evidence=why)
     uneven = evidence.gloss.unevenness
-    why = f"places differ by {100 * uneven:.1f} % of their brightness between views"
+    why = _differing(uneven)
     measured = {"unevenness": uneven}
     if uneven < UNEVEN_LIGHT:
         value = "the surface learns from colours and from agreement between views"
@@ -123,3 +122,11 @@ def _by_agreement(config: MethodConfig) -> MethodConfig:
     steps = min(config.trainer.warm_up_steps, FIRST_STEPS)
     decided = replace(config, losses=tuple(terms))
     return with_options(decided, "trainer", stages=stages, warm_up_steps=steps)
+
+
+def _speaking(evidence: Evidence) -> str:
+    return f"{100 * evidence.speaking:.1f} % of the object can be told apart from its surroundings in brightness"
+
+
+def _differing(uneven: float) -> str:
+    return f"places differ by {100 * uneven:.1f} % of their brightness between views"

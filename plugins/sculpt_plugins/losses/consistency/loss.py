@@ -12,16 +12,13 @@ from torch.autograd.function import once_differentiable
 from sculpt_framework.export.mesh_pixels import visibility_slack
 from sculpt_framework.losses import TrainingImage, ViewsLoss
 from sculpt_framework.multi_view_stereo.agreement import Disagreement, Photograph, disagreement, look_at
-from sculpt_framework.multi_view_stereo.stereo_views import compared_with
+from sculpt_framework.multi_view_stereo.stereo_views import LUMINANCE, SATURATED, compared_with
 from sculpt_framework.threads import in_threads
 from sculpt_framework.types import Surface
 from sculpt_plugins.losses.consistency.config import ConsistencyConfig
 
 _CHOICE = 3
 """Times as many neighbours as are compared with in one step: they take turns."""
-_SATURATED = 0.98
-"""Of a colour channel."""
-_LUMINANCE = torch.tensor([0.299, 0.587, 0.114])
 
 
 class Consistency(ViewsLoss):
@@ -33,6 +30,8 @@ class Consistency(ViewsLoss):
     def __init__(self, config: ConsistencyConfig):
         self._config = config
         self._photographs: list[Photograph] = []
+        self._pixels: list[int] = []
+        """How many of each photograph are usable; 1 where none is."""
         self._neighbours: list[Int64[np.ndarray, " _"]] = []
 
     @property
@@ -41,11 +40,13 @@ class Consistency(ViewsLoss):
 
     def begin(self, images: Sequence[TrainingImage]) -> None:
         self._photographs = in_threads(_photograph, images)
+        self._pixels = [max(1, int(each.usable.sum())) for each in self._photographs]
         positions = np.stack([each.camera.position.double().numpy() for each in self._photographs])
         self._neighbours = compared_with(positions.astype(np.float32), _CHOICE * self._config.partners)
 
     def __call__(self, surface: Surface, views: Sequence[int], step: int) -> Float[Tensor, ""]:
-        pairs = [(view, other) for view in views for other in self._partners(view, step)]
+        partners = {view: self._partners(view, step) for view in views}
+        pairs = [(view, other) for view in views for other in partners[view]]
         if not pairs:
             return surface.vertices.new_zeros(())
         vertices, faces = surface.vertices.detach().cpu().double().numpy(), surface.faces.cpu().numpy()
@@ -59,8 +60,7 @@ class Consistency(ViewsLoss):
         # The mean of the views' means, so that shares of the views, in several processes, add up to the same.
         value, gradient = 0.0, np.zeros_like(vertices)
         for (view, _), found in zip(pairs, in_threads(compare, pairs), strict=True):
-            pixels = max(1, int(self._photographs[view].usable.sum()))
-            share = 1 / (len(views) * len(self._partners(view, step)) * pixels)
+            share = 1 / (len(views) * len(partners[view]) * self._pixels[view])
             value += share * found.total
             gradient += share * found.gradient
         return _Known.apply(surface.vertices, value, gradient)
@@ -88,11 +88,11 @@ class _Known(torch.autograd.Function):
 
 
 def _photograph(image: TrainingImage) -> Photograph:
-    rgb = image.premultiplied.cpu()
-    inside = torch.ones(rgb.shape[:2]) if image.alpha is None else image.alpha.cpu()
-    usable = ((inside > 0.99) & (rgb.amax(dim=2) < _SATURATED)).numpy().astype(np.uint8)
+    rgb = image.premultiplied.cpu().numpy()
+    inside = np.ones(rgb.shape[:2]) if image.alpha is None else image.alpha.cpu().numpy()
+    usable = ((inside > 0.99) & (rgb.max(axis=2) < SATURATED)).astype(np.uint8)
     # A sample takes pixels up to two away.
     usable = cv2.erode(usable, np.ones((5, 5), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=0)
     return Photograph(
-        camera=image.camera, luminance=(rgb @ _LUMINANCE).numpy().astype(np.float32), usable=np.asarray(usable) > 0
+        camera=image.camera, luminance=(rgb @ LUMINANCE).astype(np.float32), usable=np.asarray(usable) > 0
     )

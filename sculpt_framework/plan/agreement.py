@@ -84,7 +84,8 @@ def light(config: MethodConfig, evidence: Evidence) -> Ruling:
     uneven = evidence.gloss.unevenness
     why = _differing(uneven)
     measured = {"unevenness": uneven}
-    if uneven < UNEVEN_LIGHT:
+    # Agreement leads no farther than windows overlap: it cannot do without colours from a start that is not near.
+    if uneven < UNEVEN_LIGHT or name_of(config.initializer) != STEREO:
         value = "the surface learns from colours and from agreement between views"
         return Ruling(config=config, value=value, evidence=why, measured=measured)
     return Ruling(

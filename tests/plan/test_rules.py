@@ -102,6 +102,8 @@ def test_the_users_start_and_losses_are_kept_in_uneven_light() -> None:
     config, changed = decided(uneven(0.1), replace(method(), initializer=start))
     assert name_of(config.initializer) == "visual-hull"
     assert "stereo" not in changed
+    assert weights(config) == weights(method())
+    assert "light" not in changed
     given = without(method(), "losses", ["eikonal"])
     config, changed = decided(uneven(0.1), given)
     assert weights(config) == weights(given)

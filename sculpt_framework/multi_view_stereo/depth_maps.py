@@ -13,7 +13,7 @@ from pathlib import Path
 from threading import Lock
 
 import numpy as np
-from jaxtyping import Float32, Int64
+from jaxtyping import Bool, Float32, Int64
 
 from sculpt_framework.cpu_kernels import kernel_cache
 from sculpt_framework.multi_view_stereo.stereo_views import StereoViews, stereo_views
@@ -158,19 +158,28 @@ class _Adder:
             self._tell(min(1.0, self._sum))
 
 
-def _blank(stack: StereoViews, solid: Volume) -> _Planes:
-    """Nothing known but where along each ray there is something solid."""
+def depth_bounds(
+    stack: StereoViews, full: Bool[np.ndarray, "x y z"], volume: Volume
+) -> tuple[Float32[np.ndarray, "v h w"], Float32[np.ndarray, "v h w"]]:
+    """Nearest and farthest depth at which a pixel's ray meets what is ``full`` of the volume's cells, a cell more on
+    both sides; 0 where it does not, or where the view shows nothing of the object."""
     shape = stack.luminance.shape
     nearest, farthest = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-    full, origin = solid.values < solid.cell, np.array(solid.origin, np.float32)
+    origin, cell = np.array(volume.origin, np.float32), np.float32(volume.cell)
 
     def bound(i: int) -> None:
         kernels.bound_depths(
-            stack.inside, stack.poses, stack.lenses, stack.positions, i, full, origin, np.float32(solid.cell),
-            nearest[i], farthest[i],
-        )  # fmt: skip
+            stack.inside, stack.poses, stack.lenses, stack.positions, i, full, origin, cell, nearest[i], farthest[i]
+        )
 
     in_threads(bound, range(len(stack)))
+    return nearest, farthest
+
+
+def _blank(stack: StereoViews, solid: Volume) -> _Planes:
+    """Nothing known but where along each ray there is something solid."""
+    shape = stack.luminance.shape
+    nearest, farthest = depth_bounds(stack, solid.values < solid.cell, solid)
     return _Planes(
         depths=np.zeros(shape, np.float32),
         normals=np.zeros((*shape, 3), np.float32),

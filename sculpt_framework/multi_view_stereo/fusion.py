@@ -24,11 +24,16 @@ with kernel_cache("fusion", Path(__file__).with_name("fusion_kernels.py")):
 _FRONT, _BACK = 3.0, 2.0
 """Cells in front of and behind what a view sees in which it tells a distance. Behind less than in front: thin parts are
 seen from both sides."""
+_LOWEST = np.float32(-_BACK / _FRONT)
+"""Of the values that are joined, in units of ``_FRONT``."""
 _SURE, _SURE_EMPTY = 30.0, 4.0
 """Confidence of all views together after which more does not make a cell surer: near a surface, whose place each view
 has a little wrong, and where they see through, in which a few are not wrong."""
 _PRIOR = 0.05
 """Weight of the shape known before, relative to that of a cell that is sure."""
+_HIDING, _HIDDEN = 2, 0.5
+"""Without outlines: something must be seen in front of a place in more than so many images, and than such a share of
+those it lies in, for it to be inside of something."""
 _SOFT_SLOPE, _SOFT_ERROR = 1.0, 0.1
 """Differences between cells, and to what is wanted, that count by their squares; beyond, linearly. In units of
 ``_FRONT``: the slope of a distance is a third."""
@@ -42,25 +47,59 @@ def fuse(solid: Volume, maps: DepthMaps) -> Volume:
 
     In object units, negative inside. Bubbles inside, which no view can have seen, are filled, and crumbs removed.
     """
-    share_threads()
-    views, unit = maps.views, _FRONT * solid.cell
+    unit = np.float32(_FRONT * solid.cell)
+    before = np.clip(solid.values / unit, _LOWEST, 1)
+    least = np.where(solid.values > 0, before, _LOWEST)
     # What no ray of a mask passes is outside; a little around it, for differences.
-    asked = solid.values < unit
-    seen, sureness = np.zeros(solid.shape, np.float32), np.zeros(solid.shape, np.float32)
-    kernels.vote(
-        solid.points, asked.reshape(-1), maps.depths, maps.normals, maps.confidence, views.poses, views.lenses,
-        np.float32(unit), np.float32(_BACK * solid.cell), seen.reshape(-1), sureness.reshape(-1),
+    values, _ = _joined(solid, solid.values < unit, maps, before, np.float32(_PRIOR), least)
+    inside = _whole(values < 0)
+    return solid.holding(signed_distance(inside, values * unit, solid.cell))
+
+
+def fuse_without_outlines(space: Volume, maps: DepthMaps) -> tuple[Volume, Bool[np.ndarray, "x y z"]]:
+    """The shape that the depth maps alone show where ``space`` is negative, in units of three cells, negative inside;
+    and the cells near what some view sees.
+
+    What no view sees is solid where something is seen in front of it in half of the images it lies in, and empty
+    elsewhere. Nothing is removed: there may be pieces of whatever else is in that space.
+    """
+    share_threads()
+    views, asked = maps.views, space.values < 0
+    hidden, shown = np.zeros(space.shape, np.int32), np.zeros(space.shape, np.int32)
+    kernels.count_hiding(
+        space.points, asked.reshape(-1), maps.depths, views.poses, views.lenses, views.sizes,
+        np.float32(_BACK * space.cell), hidden.reshape(-1), shown.reshape(-1),
     )  # fmt: skip
-    lowest = np.float32(-_BACK / _FRONT)
-    before = np.clip(solid.values / np.float32(unit), lowest, 1)
-    least = np.where(solid.values > 0, before, lowest)
+    behind = hidden > np.maximum(_HIDING, _HIDDEN * shown)
+    before = np.where(behind, _LOWEST, np.float32(1))
+    prior = np.where(hidden > 0, np.float32(2 * _PRIOR), np.float32(_PRIOR))
+    least = np.where(asked, _LOWEST, np.float32(1))
+    values, known = _joined(space, asked, maps, before, prior, least)
+    return space.holding(values), known
+
+
+def _joined(
+    volume: Volume,
+    asked: Bool[np.ndarray, "x y z"],
+    maps: DepthMaps,
+    before: Float32[np.ndarray, "x y z"],
+    prior: Float32[np.ndarray, "#x #y #z"] | np.float32,
+    least: Float32[np.ndarray, "x y z"],
+) -> tuple[Float32[np.ndarray, "x y z"], Bool[np.ndarray, "x y z"]]:
+    """What the views say, joined with what was known ``before`` by the weight ``prior``, never below ``least``; and
+    where any of them says something."""
+    share_threads()
+    views = maps.views
+    seen, sureness = np.zeros(volume.shape, np.float32), np.zeros(volume.shape, np.float32)
+    kernels.vote(
+        volume.points, asked.reshape(-1), maps.depths, maps.normals, maps.confidence, views.poses, views.lenses,
+        np.float32(_FRONT * volume.cell), np.float32(_BACK * volume.cell), seen.reshape(-1), sureness.reshape(-1),
+    )  # fmt: skip
     known = sureness > 0
     wanted = np.where(known, seen, before)
     enough = np.where(seen >= 1, np.float32(_SURE_EMPTY), np.float32(_SURE))
-    weights = np.where(known, np.clip(sureness / enough, _PRIOR, 1), _PRIOR)
-    values = _smoothed(wanted, weights.astype(np.float32), least)
-    inside = _whole(values < 0)
-    return solid.holding(signed_distance(inside, values * np.float32(unit), solid.cell))
+    weights = np.where(known, np.clip(sureness / enough, np.float32(_PRIOR), 1), prior)
+    return _smoothed(wanted, weights.astype(np.float32), least), known
 
 
 def _smoothed(

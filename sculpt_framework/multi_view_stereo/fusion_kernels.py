@@ -93,6 +93,29 @@ def vote(points, wanted, depths, normals, weights, poses, lenses, front, back, v
 
 
 @njit(parallel=True, **_OPTIONS)
+def count_hiding(points, wanted, depths, poses, lenses, sizes, back, hidden, shown):
+    """Per ``wanted`` point, in how many images it lies, and in how many of them something is seen more than ``back`` in
+    front of it."""
+    for n in prange(points.shape[0]):
+        hidden[n], shown[n] = 0, 0
+        if not wanted[n]:
+            continue
+        x, y, z = points[n, 0], points[n, 1], points[n, 2]
+        for i in range(depths.shape[0]):
+            far = poses[i, 2, 0] * x + poses[i, 2, 1] * y + poses[i, 2, 2] * z + poses[i, 2, 3]
+            if not far > _NEAR:
+                continue
+            u = lenses[i, 0] * (poses[i, 0, 0] * x + poses[i, 0, 1] * y + poses[i, 0, 2] * z + poses[i, 0, 3]) / far
+            v = lenses[i, 1] * (poses[i, 1, 0] * x + poses[i, 1, 1] * y + poses[i, 1, 2] * z + poses[i, 1, 3]) / far
+            u, v = u + lenses[i, 2], v + lenses[i, 3]
+            if not (u >= 0 and v >= 0 and u < np.float32(sizes[i, 1]) and v < np.float32(sizes[i, 0])):
+                continue
+            depth = depths[i, np.int32(v), np.int32(u)]
+            shown[n] += 1
+            hidden[n] += depth > 0 and depth < far - back
+
+
+@njit(parallel=True, **_OPTIONS)
 def dual_step(ahead, flow, step, soft):
     """Gradient ascent of the flow [x, y, z, 3] along the slopes of ``ahead`` [x, y, z], kept within unit length."""
     nx, ny, nz = ahead.shape

@@ -10,16 +10,15 @@ Rother, Kolmogorov, Blake: "GrabCut", SIGGRAPH 2004; the implementation is OpenC
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from functools import partial
 
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Bool, Float32, Float64, UInt8
 
 from sculpt_framework.errors import DataError
 from sculpt_framework.posed_images.box import fit_box
+from sculpt_framework.posed_images.grab_cut import Colors, Mask, Trimap, cut, masked, reduced
 from sculpt_framework.posed_images.projected_box import box_outline
 from sculpt_framework.threads import in_threads
 from sculpt_framework.types import Box, Camera, View
@@ -35,28 +34,10 @@ _BAND = 0.02
 """Half the width of the strip along an outline that the second cut decides, as a share of the image's longer side."""
 _SLACK = 0.08
 """By which the box is enlarged before it is projected."""
-_PIECE = 0.05
-"""Pieces smaller than this share of the largest are specks."""
+_ENOUGH = 0.5
+"""Share of the views in which something must be found for it to be taken for the object."""
 _LEAST = 0.002
 """A mask of less than this share of the image shows nothing."""
-Trimap = UInt8[np.ndarray, "h w"]
-Mask = Bool[np.ndarray, "h w"]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Colors:
-    """Mixtures of five Gaussians each, as OpenCV packs them."""
-
-    background: Float64[np.ndarray, "1 65"]
-    object: Float64[np.ndarray, "1 65"]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Small:
-    """A view at the size of a cut."""
-
-    image: UInt8[np.ndarray, "h w 3"]
-    camera: Camera
 
 
 def cut_out(views: Sequence[View], test: Sequence[View], seed: Box) -> tuple[list[View], list[View], str]:
@@ -71,7 +52,7 @@ def cut_out(views: Sequence[View], test: Sequence[View], seed: Box) -> tuple[lis
     for _ in range(2):
         colors = _learn(bare, box)
         masks = in_threads(partial(_coarse, box=box, colors=colors), bare)
-        found = [_masked(view, mask) for view, mask in zip(bare, masks, strict=True) if mask.mean() >= _LEAST]
+        found = [masked(view, mask) for view, mask in zip(bare, masks, strict=True) if mask.mean() >= _LEAST]
         if not found and not given:
             raise DataError(
                 f"no object could be cut out of {len(bare)} images; put masks into a folder 'masks' beside the images, "
@@ -79,11 +60,15 @@ def cut_out(views: Sequence[View], test: Sequence[View], seed: Box) -> tuple[lis
             )
         box, told = _tightened([*given, *found], box)
     fine = in_threads(lambda pair: _fine(pair[0], pair[1], box, colors), list(zip(bare, masks, strict=True)))
-    done = {id(view): _masked(view, mask) for view, mask in zip(bare, fine, strict=True)}
+    done = {id(view): masked(view, mask) for view, mask in zip(bare, fine, strict=True)}
     train = [done.get(id(view), view) for view in views]
     seen = [view for view in train if view.alpha is not None and float(view.alpha.mean()) >= _LEAST]
-    if not seen:
-        raise DataError("no object could be cut out of any train image; put masks into a folder 'masks'.")
+    if len(seen) < _ENOUGH * len(train):
+        raise DataError(
+            f"an object could be cut out of {len(seen)} of {len(train)} images only, which is more likely a part of "
+            "what is around it; put masks into a folder 'masks' beside the images, or say where the object is with "
+            "--dataset.box."
+        )
     note = f"{len(bare)} of {len(views) + len(test)} images have no mask: the object is cut out of them{told}"
     note += "; look at the masks: sculpt-data masks DIR."
     if len(seen) < len(train):
@@ -99,10 +84,10 @@ def _tightened(masked: Sequence[View], seed: Box) -> tuple[Box, str]:
     return Box(minimum=torch.maximum(box.minimum, seed.minimum), maximum=torch.minimum(box.maximum, seed.maximum)), ""
 
 
-def _learn(views: Sequence[View], box: Box) -> _Colors:
+def _learn(views: Sequence[View], box: Box) -> Colors:
     """Colours of background and object over all views."""
     step = -(-len(views) // _SHEET_VIEWS)
-    small = [_reduced(view, _SHEET_SIDE) for view in views[::step]]
+    small = [reduced(view, _SHEET_SIDE) for view in views[::step]]
     side = max(max(item.image.shape[:2]) for item in small)
     sheet = np.zeros((side, side * len(small), 3), np.uint8)
     trimap = np.full(sheet.shape[:2], cv2.GC_BGD, np.uint8)
@@ -117,7 +102,7 @@ def _learn(views: Sequence[View], box: Box) -> _Colors:
     # The clusters it starts from are drawn at random, from a generator of each thread.
     cv2.setRNGSeed(0)
     cv2.grabCut(sheet, trimap, (0, 0, 1, 1), background, object_, _ROUNDS, cv2.GC_INIT_WITH_MASK)
-    return _Colors(background=background, object=object_)
+    return Colors(background=background, object=object_)
 
 
 def _first_trimap(camera: Camera, box: Box) -> Trimap:
@@ -128,13 +113,13 @@ def _first_trimap(camera: Camera, box: Box) -> Trimap:
     return trimap
 
 
-def _coarse(view: View, box: Box, colors: _Colors) -> Mask:
-    small = _reduced(view, _COARSE)
-    return _cut(small.image, _first_trimap(small.camera, box), colors)
+def _coarse(view: View, box: Box, colors: Colors) -> Mask:
+    small = reduced(view, _COARSE)
+    return cut(small.image, _first_trimap(small.camera, box), colors)
 
 
-def _fine(view: View, coarse: Mask, box: Box, colors: _Colors) -> Mask:
-    small = _reduced(view, _FINE)
+def _fine(view: View, coarse: Mask, box: Box, colors: Colors) -> Mask:
+    small = reduced(view, _FINE)
     height, width = small.image.shape[:2]
     start = cv2.resize(coarse.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR) > 0.5
     allowed = box_outline(small.camera, box, 1 + _SLACK)
@@ -146,7 +131,7 @@ def _fine(view: View, coarse: Mask, box: Box, colors: _Colors) -> Mask:
     trimap = np.where(start, cv2.GC_PR_FGD, cv2.GC_PR_BGD)
     trimap = np.where(outer, trimap, cv2.GC_BGD)
     trimap = np.where(inner & allowed, cv2.GC_FGD, trimap).astype(np.uint8)
-    return _cut(small.image, trimap, colors)
+    return cut(small.image, trimap, colors)
 
 
 def _add_border(trimap: Trimap) -> None:
@@ -156,58 +141,3 @@ def _add_border(trimap: Trimap) -> None:
     wide = max(1, round(0.01 * max(trimap.shape)))
     for side in (trimap[:wide], trimap[-wide:], trimap[:, :wide], trimap[:, -wide:]):
         side[:] = cv2.GC_BGD
-
-
-def _cut(image: UInt8[np.ndarray, "h w 3"], trimap: Trimap, colors: _Colors) -> Mask:
-    open_at = (trimap == cv2.GC_PR_FGD) | (trimap == cv2.GC_PR_BGD)
-    if not open_at.any():
-        return trimap == cv2.GC_FGD
-    window = _window(trimap != cv2.GC_BGD)
-    pixels, inside = np.ascontiguousarray(image[window]), trimap[window].copy()
-    known = colors.background.copy(), colors.object.copy()
-    labels, _, _ = cv2.grabCut(pixels, inside, (0, 0, 1, 1), *known, 1, cv2.GC_EVAL_FREEZE_MODEL)
-    out = np.zeros(trimap.shape, bool)
-    out[window] = (labels == cv2.GC_FGD) | (labels == cv2.GC_PR_FGD)
-    return _without_specks(out)
-
-
-def _window(open_at: Mask) -> tuple[slice, slice]:
-    """Rows and columns around what is to be decided, with as much background again as tells the two apart."""
-    height, width = open_at.shape
-    rows, columns = np.flatnonzero(open_at.any(axis=1)), np.flatnonzero(open_at.any(axis=0))
-    margin = max(4, round(0.15 * max(rows[-1] - rows[0], columns[-1] - columns[0])))
-    return (
-        slice(max(0, rows[0] - margin), min(height, rows[-1] + 1 + margin)),
-        slice(max(0, columns[0] - margin), min(width, columns[-1] + 1 + margin)),
-    )
-
-
-def _without_specks(mask: Mask) -> Mask:
-    """Without pieces, and without holes, that are small beside the largest piece."""
-    for value in (True, False):
-        _, labels, stats, _ = cv2.connectedComponentsWithStats((mask == value).astype(np.uint8), connectivity=4)
-        sizes = stats[:, cv2.CC_STAT_AREA].copy()
-        sizes[0] = 0
-        largest = max(int(mask.sum()), 1) if not value else int(sizes.max(initial=0))
-        small = sizes < _PIECE * largest if value else sizes < 0.2 * _PIECE * largest
-        small[0] = False
-        mask = np.where(small[labels], not value, mask)
-    return mask
-
-
-def _reduced(view: View, side: int) -> _Small:
-    camera = view.camera
-    factor = min(1.0, side / max(camera.width, camera.height))
-    width, height = max(1, round(camera.width * factor)), max(1, round(camera.height * factor))
-    image = cv2.resize(view.rgb.numpy(), (width, height), interpolation=cv2.INTER_AREA)
-    pixels = np.ascontiguousarray(np.rint(image.clip(0, 1) * 255).astype(np.uint8)[:, :, ::-1])
-    return _Small(image=pixels, camera=camera.resized(width, height))
-
-
-def _masked(view: View, mask: Mask) -> View:
-    """The view with a mask of any size as alpha; a step of a coarser mask becomes a slope."""
-    camera = view.camera
-    alpha: Float32[np.ndarray, "h w"] = mask.astype(np.float32)
-    if alpha.shape != (camera.height, camera.width):
-        alpha = cv2.resize(alpha, (camera.width, camera.height), interpolation=cv2.INTER_LINEAR)
-    return replace(view, alpha=torch.from_numpy(alpha))

@@ -16,8 +16,10 @@ class PhotographsConfig(DatasetConfig):
     downscale: int = 0
     """Read images at 1/N of their width and height; 0: as large as 2 GiB allow for all of them together."""
     masks: MasksOption = "auto"
-    """auto: masks that are there, else a plain background keyed out, else cut out; cut-out: do not try to key; ignored:
-    as auto where there are no files of masks, whether there are or not."""
+    """auto: masks that are there, else a plain background keyed out, else found by depth, else cut out by colours;
+    cut-out: by colours at once; ignored: as auto where there are no files of masks, whether there are or not."""
+    keep_support: bool = False
+    """Leave what the object stands on where masks are found by depth."""
     background: Literal["auto", "white", "black", "none"] = "auto"
     """What is behind images without alpha; auto looks for a constant colour at their borders, none keys nothing."""
     test_every: int = 0

@@ -72,11 +72,10 @@ def load_photographs(
     views, held_out = list(loaded.train), list(loaded.test)
     given = None if options.box is None else _box_of(options.box)
     if options.masks != "none" and any(view.alpha is None for view in views):
-        from sculpt_framework.posed_images.cut_out import cut_out
-
         seed, how = (given, "the box given") if given is not None else seed_box(views, clues)
-        views, held_out, note = cut_out(views, held_out, seed)
-        said += [f"the object is looked for in {how}.", note]
+        sure = given is not None or clues.box is not None
+        views, held_out, found = _with_masks(views, held_out, seed, sure, options)
+        said += [f"the object is looked for in {how}.", *found]
     region = Region(box=given, said="box as given.", cuts=True) if given is not None else _find_region(views, clues)
     if region.cuts:
         views, held_out = _showing(_cut_to(region.box, views)), _cut_to(region.box, held_out)
@@ -90,6 +89,24 @@ def load_photographs(
         reference_mesh=reference,
         notes=(*said, region.said),
     )
+
+
+def _with_masks(
+    views: Sequence[View], test: Sequence[View], seed: Box, sure: bool, options: PhotographsConfig
+) -> tuple[list[View], list[View], list[str]]:
+    """The views with an alpha each: from depths where they tell, else from colours. Raises DataError."""
+    # What is compiled and only needed here is imported here.
+    from sculpt_framework.posed_images.cut_out import cut_out
+    from sculpt_framework.posed_images.find_object import FoundObject, find_object
+
+    notes = []
+    if options.masks != "cut-out":
+        found = find_object(views, test, seed, sure=sure, keep_support=options.keep_support)
+        if isinstance(found, FoundObject):
+            return found.train, found.test, [found.said]
+        notes.append(f"no object is found by depth: {found}.")
+    train, held_out, note = cut_out(views, test, seed)
+    return train, held_out, [*notes, note]
 
 
 def seed_box(views: Sequence[View], clues: Clues) -> tuple[Box, str]:

@@ -85,25 +85,33 @@ class AutoDataset(Dataset):
         if data == "demo" or data.startswith("demo:"):
             if config.downscale is not None:
                 raise ConfigError("--dataset.downscale is for photographs; give a demo --dataset.resolution instead.")
-            if config.masks is not None:
-                raise ConfigError("--dataset.masks is for photographs; demo scenes have masks of their own.")
+            for option in _of_photographs(config):
+                raise ConfigError(f"{option} is for photographs; demo scenes have masks of their own.")
             self.note = None
             self.chosen = DemoConfig().build(data)
             return
         layout = recognise(data)
         self.note = f"layout: {layout.name} (there is {layout.mark})."
         chosen = layout.config if config.downscale is None else replace(layout.config, downscale=config.downscale)
-        if config.masks is not None:
+        for option in _of_photographs(config):
             if not isinstance(chosen, PhotographsConfig):
                 raise ConfigError(
-                    f"--dataset.masks is for photographs; images of {layout.name} have an alpha channel instead."
+                    f"{option} is for photographs; images of {layout.name} have an alpha channel instead."
                 )
-            chosen = replace(chosen, masks=config.masks)
+        if isinstance(chosen, PhotographsConfig):
+            masks = chosen.masks if config.masks is None else config.masks
+            chosen = replace(chosen, masks=masks, keep_support=config.keep_support, box=config.box)
         self.chosen = chosen.build(data)
 
     def load(self) -> Scene:
         scene = self.chosen.load()
         return scene if self.note is None else replace(scene, notes=(self.note, *scene.notes))
+
+
+def _of_photographs(config: AutoDatasetConfig) -> list[str]:
+    """The options given that only layouts of photographs have."""
+    given = {"masks": config.masks is not None, "keep-support": config.keep_support, "box": config.box is not None}
+    return [f"--dataset.{name}" for name, is_given in given.items() if is_given]
 
 
 def recognise(data: str) -> Layout:

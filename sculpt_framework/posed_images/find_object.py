@@ -1,0 +1,180 @@
+"""Masks from the photographs themselves: what neighbouring views show at the same depth is a shape, and its outlines.
+
+Coarse depth maps of everything around the object are joined into a volume. The plane that the object stands on is cut
+away, and of the pieces that are left those that most of the depths lie on are the object. Its outlines are right in
+all views together, to a pixel of the coarse images; along them, each view's colours decide.
+"""
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float64
+from scipy import ndimage
+
+from sculpt_framework.multi_view_stereo.depth_maps import DepthMaps, StereoOptions, depth_bounds, find_depths
+from sculpt_framework.multi_view_stereo.fusion import fuse_without_outlines
+from sculpt_framework.multi_view_stereo.stereo_views import stereo_views
+from sculpt_framework.posed_images.grab_cut import cut_along, masked
+from sculpt_framework.posed_images.support import Plane, find_support
+from sculpt_framework.shape_from_images.volume import Volume
+from sculpt_framework.threads import in_threads
+from sculpt_framework.types import Box, View
+
+_AROUND = 2.0
+"""How many times as wide as the box where the object is looked for is the space in which depths are found: what stands
+behind the object shows where it ends."""
+_WITHIN = 0.75
+"""Of the distance of the nearest camera, how far that space reaches at most."""
+_PIXELS = 128
+"""Along the box in the images that are compared."""
+_VIEWS = 48
+"""That are compared at most, spread evenly."""
+_NEIGHBOURS, _AGREEING = 8, 2
+_SPACE_CELLS, _CELLS = 64, 112
+"""Cells along the space of all depths, and along the box with some more around it in which the object is."""
+_MORE = 1.2
+_CLEAR = 0.02
+"""Above the plane it stands on, in units of the box's half side, the object begins."""
+_OWN, _GROWN = 0.1, 2
+"""Pieces with so many of the depths that the largest has belong to the object, too; a depth is a piece's within so many
+cells."""
+_KNOWN = 0.02
+"""Share of the pixels that must have a depth."""
+_WALLED, _ROOM, _OPEN = 0.1, 5, 3
+"""What takes up more than this share of so many of the six walls of the space is a room, or a table, not an object:
+the first where the space is known to hold the object, of which there may be more beyond it, the second elsewhere."""
+_LEAST = 0.002
+"""A mask of less than this share of the image shows nothing."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FoundObject:
+    train: list[View]
+    """Those that show the object, with an alpha each."""
+    test: list[View]
+    said: str
+
+
+def find_object(
+    views: Sequence[View], test: Sequence[View], seed: Box, *, sure: bool = False, keep_support: bool = False
+) -> FoundObject | str:
+    """The views with an alpha each, or in words why no object is found. Views that have an alpha keep it.
+
+    ``seed``, in the world frame, holds most of the object. Where it is not ``sure``, the object must end within it on
+    most sides, unless with ``keep_support``, which leaves what it stands on.
+    """
+    frame = _cube(seed)
+    posed = [replace(view, camera=frame.camera_to_object(view.camera)) for view in (*views, *test)]
+    chosen = np.unique(np.linspace(0, len(views) - 1, min(_VIEWS, len(views))).round().astype(int))
+    compared = [posed[index] for index in chosen]
+    reach = min([1.0, *(_WITHIN * float(view.camera.position.norm()) for view in compared)])
+    space = _space(1.0, _SPACE_CELLS)
+    ball = np.linalg.norm(space.points, axis=1).astype(np.float32) - np.float32(reach)
+    bare = sum(view.alpha is None for view in posed)
+    logging.getLogger("sculpt").info("%d images have no mask: looking for the object by depth", bare)
+    options = StereoOptions(pixels=round(_AROUND * _PIXELS), neighbours=_NEIGHBOURS, agreeing=_AGREEING)
+    maps = find_depths(compared, space.holding(ball.reshape(space.shape)), options)
+    known = f"depths at {100 * maps.known:.0f} % of the pixels of {len(maps.views)} views"
+    if maps.known < _KNOWN:
+        return f"only {known}: neighbouring views show little that is alike"
+    points, normals = _cloud(maps)
+    support = None if keep_support else find_support(points, normals, _MORE / _AROUND)
+    volume = _space(_MORE / _AROUND, _CELLS)
+    shape, seen = fuse_without_outlines(volume, maps)
+    inside = _pieces(shape, points, support)
+    if inside is None:
+        return f"{known}, of which none are on something solid beside what it may stand on"
+    walls = [wall for axis in range(3) for wall in (inside.take(0, axis), inside.take(-1, axis))]
+    if not keep_support and sum(wall.mean() > _WALLED for wall in walls) >= (_ROOM if sure else _OPEN):
+        return f"{known}, but what they show fills the space: no object ends within it"
+    rough = _outlines(posed, volume, inside, seen)
+    done = in_threads(lambda pair: _with_mask(*pair), list(zip((*views, *test), rough, strict=True)))
+    train = [view for view in done[: len(views)] if view.alpha is not None and float(view.alpha.mean()) >= _LEAST]
+    if not train:
+        return f"{known}, but no view shows the object they make up"
+    said = (
+        f"{bare} of {len(done)} images have no mask: the object is what neighbouring views agree on in depth ({known})"
+    )
+    said += "; the plane it stands on is cut away (--dataset.keep-support leaves it)" if support is not None else ""
+    said += "; look at the masks: sculpt-data masks DIR."
+    if len(train) < len(views):
+        said += f" {len(views) - len(train)} images that do not show it are left out."
+    return FoundObject(train=train, test=done[len(views) :], said=said)
+
+
+def _cube(seed: Box) -> Box:
+    """Cubic, so that one unit of its frame is the half side of the space in which depths are found."""
+    half = torch.full((3,), _AROUND * seed.scale, dtype=seed.center.dtype)
+    return Box(minimum=seed.center - half, maximum=seed.center + half)
+
+
+def _space(half: float, cells: int) -> Volume:
+    """All of a cube around the origin is solid."""
+    return Volume(values=np.full((cells,) * 3, -1, np.float32), origin=(-half, -half, -half), cell=2 * half / cells)
+
+
+def _cloud(maps: DepthMaps) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3"]]:
+    """All depths as points with normals."""
+    points, normals = [], []
+    for view, (depths, facing) in enumerate(zip(maps.depths, maps.normals, strict=True)):
+        rows, columns = np.nonzero(depths > 0)
+        fx, fy, cx, cy = maps.views.lenses[view].tolist()
+        rays = np.stack([(columns + 0.5 - cx) / fx, (rows + 0.5 - cy) / fy, np.ones(len(rows))], axis=1)
+        turn, shift = maps.views.poses[view, :, :3].astype(float), maps.views.poses[view, :, 3].astype(float)
+        points.append((rays * depths[rows, columns, None] - shift) @ turn)
+        normals.append(facing[rows, columns].astype(float) @ turn)
+    return np.concatenate(points), np.concatenate(normals)
+
+
+def _pieces(
+    shape: Volume, points: Float64[np.ndarray, "n 3"], support: Plane | None
+) -> Bool[np.ndarray, "x y z"] | None:
+    """The cells of the pieces above the support that most points lie on, without bubbles; None if there are none."""
+    inside = shape.values < 0
+    if support is not None:
+        inside &= (support.height(shape.points.astype(float)) > _CLEAR).reshape(shape.shape)
+        points = points[support.height(points) > 2 * _CLEAR]
+    labels = np.zeros(inside.shape, np.int32)
+    ndimage.label(inside, output=labels)
+    near = ndimage.grey_dilation(labels, size=2 * _GROWN + 1)
+    cells = np.floor((points - np.array(shape.origin)) / shape.cell).astype(np.int64)
+    cells = cells[((cells >= 0) & (cells < np.array(shape.shape))).all(axis=1)]
+    counts = np.bincount(near[tuple(cells.T)], minlength=int(labels.max()) + 1)
+    counts[0] = 0
+    if not counts.max():
+        return None
+    own = counts >= _OWN * counts.max()
+    return np.asarray(ndimage.binary_fill_holes(own[labels]), dtype=bool)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Rough:
+    """A view's mask at the size of the images that were compared."""
+
+    inside: Bool[np.ndarray, "h w"]
+    sure: Bool[np.ndarray, "h w"]
+    """What is nearest there has been seen; elsewhere something only hides what is behind it from most views."""
+
+
+_NOTHING = _Rough(inside=np.zeros((1, 1), bool), sure=np.zeros((1, 1), bool))
+
+
+def _outlines(
+    views: Sequence[View], volume: Volume, inside: Bool[np.ndarray, "x y z"], seen: Bool[np.ndarray, "x y z"]
+) -> list[_Rough]:
+    stack = stereo_views([replace(view, alpha=None) for view in views], _AROUND * _PIXELS / 2)
+    nearest, _ = depth_bounds(stack, inside, volume)
+    nearest_seen, _ = depth_bounds(stack, inside & seen, volume)
+    sure = (nearest_seen > 0) & (nearest_seen < nearest + _GROWN * volume.cell)
+    found = {
+        int(given): _Rough(inside=nearest[i, :rows, :columns] > 0, sure=sure[i, :rows, :columns])
+        for i, (given, (rows, columns)) in enumerate(zip(stack.given, stack.sizes, strict=True))
+    }
+    return [found.get(index, _NOTHING) for index in range(len(views))]
+
+
+def _with_mask(view: View, rough: _Rough) -> View:
+    return view if view.alpha is not None else masked(view, cut_along(view, rough.inside, rough.sure))

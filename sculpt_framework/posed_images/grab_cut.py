@@ -1,0 +1,129 @@
+"""GrabCut on reduced images: what a view's colours say where an outline is known roughly.
+
+Rother, Kolmogorov, Blake: "GrabCut", SIGGRAPH 2004; the implementation is OpenCV's.
+"""
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Bool, Float32, Float64, UInt8
+
+from sculpt_framework.types import Camera, View
+
+_PIECE = 0.05
+"""Pieces smaller than this share of the largest are specks."""
+_ALONG, _STRIP = 480, 0.012
+"""Longer side of the images that a rough outline is followed in, and half the width of the strip that is decided, as a
+share of it."""
+_LEARNED = 3
+"""Rounds in which a view's colours are learned."""
+Trimap = UInt8[np.ndarray, "h w"]
+Mask = Bool[np.ndarray, "h w"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Colors:
+    """Mixtures of five Gaussians each, as OpenCV packs them."""
+
+    background: Float64[np.ndarray, "1 65"]
+    object: Float64[np.ndarray, "1 65"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SmallView:
+    """A view at the size of a cut."""
+
+    image: UInt8[np.ndarray, "h w 3"]
+    """Blue, green, red."""
+    camera: Camera
+
+
+def cut(image: UInt8[np.ndarray, "h w 3"], trimap: Trimap, colors: Colors) -> Mask:
+    open_at = (trimap == cv2.GC_PR_FGD) | (trimap == cv2.GC_PR_BGD)
+    if not open_at.any():
+        return trimap == cv2.GC_FGD
+    window = _window(trimap != cv2.GC_BGD)
+    pixels, inside = np.ascontiguousarray(image[window]), trimap[window].copy()
+    known = colors.background.copy(), colors.object.copy()
+    labels, _, _ = cv2.grabCut(pixels, inside, (0, 0, 1, 1), *known, 1, cv2.GC_EVAL_FREEZE_MODEL)
+    out = np.zeros(trimap.shape, bool)
+    out[window] = (labels == cv2.GC_FGD) | (labels == cv2.GC_PR_FGD)
+    return without_specks(out)
+
+
+def _window(open_at: Mask) -> tuple[slice, slice]:
+    """Rows and columns around what is to be decided, with as much background again as tells the two apart."""
+    height, width = open_at.shape
+    rows, columns = np.flatnonzero(open_at.any(axis=1)), np.flatnonzero(open_at.any(axis=0))
+    margin = max(4, round(0.15 * max(rows[-1] - rows[0], columns[-1] - columns[0])))
+    return (
+        slice(max(0, rows[0] - margin), min(height, rows[-1] + 1 + margin)),
+        slice(max(0, columns[0] - margin), min(width, columns[-1] + 1 + margin)),
+    )
+
+
+def without_specks(mask: Mask) -> Mask:
+    """Without pieces, and without holes, that are small beside the largest piece."""
+    for value in (True, False):
+        _, labels, stats, _ = cv2.connectedComponentsWithStats((mask == value).astype(np.uint8), connectivity=4)
+        sizes = stats[:, cv2.CC_STAT_AREA].copy()
+        sizes[0] = 0
+        largest = max(int(mask.sum()), 1) if not value else int(sizes.max(initial=0))
+        small = sizes < _PIECE * largest if value else sizes < 0.2 * _PIECE * largest
+        small[0] = False
+        mask = np.where(small[labels], not value, mask)
+    return mask
+
+
+def reduced(view: View, side: int) -> SmallView:
+    camera = view.camera
+    factor = min(1.0, side / max(camera.width, camera.height))
+    width, height = max(1, round(camera.width * factor)), max(1, round(camera.height * factor))
+    image = cv2.resize(view.rgb.numpy(), (width, height), interpolation=cv2.INTER_AREA)
+    pixels = np.ascontiguousarray(np.rint(image.clip(0, 1) * 255).astype(np.uint8)[:, :, ::-1])
+    return SmallView(image=pixels, camera=camera.resized(width, height))
+
+
+def masked(view: View, mask: Mask) -> View:
+    """The view with a mask of any size as alpha; a step of a coarser mask becomes a slope."""
+    camera = view.camera
+    alpha: Float32[np.ndarray, "h w"] = mask.astype(np.float32)
+    if alpha.shape != (camera.height, camera.width):
+        alpha = cv2.resize(alpha, (camera.width, camera.height), interpolation=cv2.INTER_LINEAR)
+    return replace(view, alpha=torch.from_numpy(alpha))
+
+
+def cut_along(view: View, rough: Mask, sure: Mask) -> Mask:
+    """A mask of some 480 pixels that follows edges and colours near the outline of a ``rough`` one of any size, and
+    where that is not ``sure``.
+
+    Colours of object and background are learned from what surely is one or the other in this view, near the outline.
+    Where all is, or nothing, the rough mask is right as it is.
+    """
+    small = reduced(view, _ALONG)
+    height, width = small.image.shape[:2]
+    start, seen = (
+        cv2.resize(mask.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR) > 0.5
+        for mask in (rough, sure)
+    )
+    wide = max(2, round(_STRIP * max(height, width)))
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * wide + 1, 2 * wide + 1))
+    # The image's border is no outline: an object that is cut off there goes on.
+    inner = cv2.erode(start.astype(np.uint8), kernel, borderValue=1).astype(bool) & seen
+    outer = cv2.dilate(start.astype(np.uint8), kernel).astype(bool)
+    if not inner.any() or outer.all():
+        return start
+    trimap = np.where(start, cv2.GC_PR_FGD, cv2.GC_PR_BGD)
+    trimap = np.where(outer, trimap, cv2.GC_BGD)
+    trimap = np.where(inner, cv2.GC_FGD, trimap).astype(np.uint8)
+    window = _window(outer)
+    pixels, inside = np.ascontiguousarray(small.image[window]), trimap[window].copy()
+    if not (inside == cv2.GC_BGD).any():
+        return start
+    cv2.setRNGSeed(0)
+    cv2.grabCut(pixels, inside, (0, 0, 1, 1), np.zeros((1, 65)), np.zeros((1, 65)), _LEARNED, cv2.GC_INIT_WITH_MASK)
+    out = np.zeros(trimap.shape, bool)
+    out[window] = (inside == cv2.GC_FGD) | (inside == cv2.GC_PR_FGD)
+    return out

@@ -1,0 +1,144 @@
+"""Objects found by depth: exact renderings of a ball on a table, and planes among points."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+import torch
+
+from sculpt_framework.posed_images.find_object import FoundObject, find_object
+from sculpt_framework.posed_images.support import find_support
+from sculpt_framework.types import Box, View
+from tests.multi_view_stereo.exact_views import Surface, camera_at, photograph
+
+_BALL, _TABLE = 0.45, 1.6
+SIDE = 160
+
+
+@dataclass(frozen=True, kw_only=True)
+class OnTable(Surface):
+    """A ball that touches a round table, which faces +y; a radius of 0 leaves the bare table."""
+
+    radius: float = _BALL
+
+    def hit(self, origin: np.ndarray, rays: np.ndarray) -> np.ndarray:
+        way = (-_BALL - origin[1]) / np.where(rays[:, 1] == 0, 1e-12, rays[:, 1])
+        at = origin + way[:, None] * rays
+        table = np.where((way > 0) & (np.hypot(at[:, 0], at[:, 2]) < _TABLE), way, np.inf)
+        return np.minimum(table, self.ball(origin, rays))
+
+    def ball(self, origin: np.ndarray, rays: np.ndarray) -> np.ndarray:
+        if self.radius == 0:
+            return np.full(len(rays), np.inf)
+        square, half = (rays**2).sum(axis=1), rays @ origin
+        inner = half**2 - square * (origin @ origin - self.radius**2)
+        return np.where(inner > 0, (-half - np.sqrt(np.maximum(inner, 0))) / square, np.inf)
+
+    def normal(self, points: np.ndarray) -> np.ndarray:
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, kw_only=True)
+class BallAlone(OnTable):
+    def hit(self, origin: np.ndarray, rays: np.ndarray) -> np.ndarray:
+        return self.ball(origin, rays)
+
+
+def ring(surface: Surface, *, masked: bool = False) -> list[View]:
+    """Twenty-four views from all around, in two rows; the image is a bit more than the space they all see."""
+    turns = np.arange(24) * 2 * np.pi / 24
+    ways = [(np.cos(turn), 0.45 + 0.4 * (index % 2), np.sin(turn)) for index, turn in enumerate(turns)]
+    views = [photograph(surface, camera_at(way, SIDE), masked=masked) for way in ways]
+    return [replace(view, name=str(index)) for index, view in enumerate(views)]
+
+
+SEED = Box(minimum=torch.full((3,), -0.6, dtype=torch.float64), maximum=torch.full((3,), 0.6, dtype=torch.float64))
+
+
+def overlaps(found: list[View], truth: list[View]) -> list[float]:
+    scores = []
+    for view, exact in zip(found, truth, strict=True):
+        assert view.alpha is not None
+        assert exact.alpha is not None
+        mask, true = view.alpha > 0.5, exact.alpha > 0.5
+        scores.append(float((mask & true).sum() / (mask | true).sum()))
+    return scores
+
+
+def test_a_ball_is_told_from_the_table_it_stands_on():
+    views, truth = ring(OnTable()), ring(BallAlone(), masked=True)
+    found = find_object(views[1:], views[:1], SEED)
+    assert isinstance(found, FoundObject), found
+    assert "the plane it stands on is cut away" in found.said
+    scores = overlaps([*found.test, *found.train], truth)
+    assert min(scores) > 0.9
+    assert np.mean(scores) > 0.94
+
+
+def test_what_it_stands_on_may_stay():
+    views, truth = ring(OnTable()), ring(BallAlone(), masked=True)
+    found = find_object(views, [], SEED, sure=True, keep_support=True)
+    assert isinstance(found, FoundObject), found
+    assert "cut away" not in found.said
+    covered = [float(view.alpha.mean()) for view in found.train if view.alpha is not None]
+    assert min(covered) > 1.5 * max(float(view.alpha.mean()) for view in truth if view.alpha is not None)
+
+
+def test_a_bare_table_is_no_object():
+    said = find_object(ring(OnTable(radius=0)), [], SEED)
+    assert isinstance(said, str)
+    assert "solid" in said or "no object ends within it" in said
+
+
+def test_images_without_anything_in_common_show_no_object():
+    noise = torch.Generator().manual_seed(0)
+    views = [replace(view, rgb=torch.rand(view.rgb.shape, generator=noise)) for view in ring(OnTable())]
+    said = find_object(views, [], SEED)
+    assert isinstance(said, str)
+    assert "little that is alike" in said
+
+
+def test_masks_that_are_there_stay():
+    views, truth = ring(OnTable()), ring(BallAlone(), masked=True)
+    mask = truth[3].alpha
+    views[3] = replace(views[3], alpha=mask)
+    found = find_object(views, [], SEED)
+    assert isinstance(found, FoundObject), found
+    assert found.train[3].alpha is mask
+    assert "23 of 24 images have no mask" in found.said
+
+
+def _points(box_half: tuple[float, float, float], table: float) -> tuple[np.ndarray, np.ndarray]:
+    """On the upper side and the walls of a box that stands on z = -0.4, and on a square table; with normals."""
+    chance = np.random.default_rng(1)
+    spots = chance.uniform(-1, 1, (4000, 3))
+    x, y, z = box_half
+    wall = np.stack([np.sign(spots[:2000, 0]) * x, spots[:2000, 1] * y, spots[:2000, 2] * z], axis=1)
+    wall[:, 2] += z - 0.4
+    top = np.stack([spots[2000:, 0] * x, spots[2000:, 1] * y, np.full(2000, 2 * z - 0.4)], axis=1)
+    flat = np.column_stack([chance.uniform(-table, table, (4000, 2)), np.full(4000, -0.4)])
+    flat = flat[(np.abs(flat[:, 0]) > x) | (np.abs(flat[:, 1]) > y)]
+    up = np.array([0.0, 0.0, 1.0])
+    sides = np.stack([np.sign(spots[:2000, 0]), np.zeros(2000), np.zeros(2000)], axis=1)
+    normals = np.concatenate([sides, np.tile(up, (2000, 1)), np.tile(up, (len(flat), 1))])
+    points = np.concatenate([wall, top, flat])
+    return points + chance.normal(0, 0.002, points.shape), normals
+
+
+def test_the_support_is_where_it_is():
+    support = find_support(*_points((0.3, 0.2, 0.3), 0.9), reach=0.6)
+    assert support is not None
+    assert support.normal == pytest.approx([0, 0, 1], abs=0.01)
+    assert support.height(np.array([[0.0, 0.0, 0.0]])) == pytest.approx([0.4], abs=0.01)
+
+
+def test_a_plinth_no_larger_than_the_object_is_a_part_of_it():
+    assert find_support(*_points((0.3, 0.2, 0.3), 0.31), reach=0.6) is None
+
+
+def test_without_a_plane_there_is_no_support():
+    chance = np.random.default_rng(2)
+    ball = chance.normal(size=(5000, 3))
+    ball /= np.linalg.norm(ball, axis=1, keepdims=True)
+    assert find_support(0.5 * ball, ball, reach=0.6) is None
+    assert find_support(ball[:3], ball[:3], reach=2.0) is None

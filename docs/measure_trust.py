@@ -5,7 +5,8 @@
 DIR are captures with ``gt_mesh.ply``, as ``docs/make_captures.py`` renders them. Of each, meshes are made that are
 wrong in known ways: the truth roughened, pitted, moved, scaled, smoothed, low-passed, decimated or spoilt in one half,
 and what a run starts from (visual hull, photo hull) and has after ``--seconds``. Each is measured twice:
-``residual_depth`` by the photographs alone, and the distance to the truth over what the cameras see, point to surface.
+``residual_depth_p90`` by the photographs alone, and the distance to the truth over what the cameras see, point to
+surface.
 Lengths are in hundredths of half the longest side of the truth. Spearman's rank correlation over all meshes of all
 captures is printed, also by capture and for other readings of the residual, and OUT/trust.png shows each mesh.
 OUT/trust.csv keeps what is measured; a mesh that is in it is not made again.
@@ -55,7 +56,7 @@ CELL = 2 / 128
 """Of a grid of 128 cells, in units of the radius."""
 SAMPLES = 50_000
 LAMP = np.array([0.36, -0.48, 0.8])
-READINGS = ("residual_depth", "residual_depth_mean", "residual_px", "residual_p90_px")
+READINGS = ("residual_depth_p90", "residual_depth", "residual_px", "residual_p90_px")
 COLUMNS = ("capture", "kind", "mesh", "error", *READINGS, "judged")
 TRUTH = "truth"
 Spoilt = Iterator[tuple[str, str, Callable[[], Mesh]]]
@@ -103,11 +104,11 @@ def measure_capture(folder: Path, out: Path, pairs: int, pixels: int, seconds: f
         found = images.measure(mesh)
         error = visible_distances(mesh, reference, seen).point_to_surface
         lengths = [
-            None if x is None else 100 * x / radius for x in (error, found.residual_depth, found.residual_depth_mean)
+            None if x is None else 100 * x / radius for x in (error, found.residual_depth_p90, found.residual_depth)
         ]
         values = [*lengths, found.residual_px, found.residual_p90_px, found.judged]
         append_row(out / "trust.csv", [folder.name, kind, name, *values])
-        sys.stdout.write(f"{folder.name} {name}: error, residual depth {lengths}\n")
+        sys.stdout.write(f"{folder.name} {name}: error, residual depth p90 and median {lengths}\n")
         sys.stdout.flush()
     if not (out / f"relief-{folder.name}.txt").exists():
         pits, relief = pits_and_relief(fine, radius, scene, center, pairs, pixels)
@@ -202,7 +203,9 @@ def with_faces(mesh: Mesh, radius: float) -> Mesh:
         return fewer(mesh, FACES)
     vertices, faces = trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, CELL * radius)
     merged = trimesh.Trimesh(vertices, faces, process=True)
-    return Mesh(vertices=np.array(merged.vertices), faces=np.array(merged.faces, np.int64))
+    made = Mesh(vertices=np.array(merged.vertices), faces=np.array(merged.faces, np.int64))
+    # Long thin triangles are cut into far more than that.
+    return fewer(made, 3 * FACES) if len(made.faces) > 3 * FACES else made
 
 
 def waves(mesh: Mesh, length: float) -> np.ndarray:
@@ -243,6 +246,8 @@ def low_passed(mesh: Mesh, cells: float) -> Mesh:
     cell = CELL * radius_of(mesh)
     solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).voxelized(cell).fill().matrix.astype(np.float32)
     blurred = ndimage.gaussian_filter(np.pad(solid, 12), cells)
+    if not blurred.max() > 0.5:
+        raise DataError("nothing of it is as thick as that")
     vertices, faces, _, _ = marching_cubes(blurred, 0.5)
     made = trimesh.Trimesh((vertices - 12) * cell, faces[:, ::-1])
     # Back in place: the middle of the box of what the voxels hold is that of the mesh.
@@ -307,7 +312,7 @@ def drawn(rows: Sequence[Mapping[str, str]]) -> Drawing:
     series = [
         Series(
             name=row["kind"],
-            points=[(float(row["error"]), float(row["residual_depth"]))],
+            points=[(float(row["error"]), float(row["residual_depth_p90"]))],
             style="level" if row["kind"] == TRUTH else "mark",
         )
         for row in complete(rows)
@@ -315,7 +320,7 @@ def drawn(rows: Sequence[Mapping[str, str]]) -> Drawing:
     colors = {**series_colors([line for line in series if line.name != TRUTH]), TRUTH: "#999999"}
     title = f"{len(series)} meshes of {len({row['capture'] for row in rows})} captures"
     x = Axis(label="distance to the truth where it is seen, 1e-2 radius (log)", log=True)
-    y = Axis(label="residual depth, 1e-2 radius (log)", log=True)
+    y = Axis(label="residual depth, 90th percentile, 1e-2 radius (log)", log=True)
     return line_drawing(title, series, x, y, colors=colors, legend=True)
 
 
@@ -325,7 +330,7 @@ def summary(rows: Sequence[Mapping[str, str]]) -> list[str]:
     out = [f"{name}: {correlation(known, name):.3f} over {len(known)} meshes" for name in READINGS]
     for capture in dict.fromkeys(row["capture"] for row in known):
         own = [row for row in known if row["capture"] == capture]
-        out.append(f"residual_depth, {capture}: {correlation(own, 'residual_depth'):.3f} over {len(own)}")
+        out.append(f"residual_depth_p90, {capture}: {correlation(own, 'residual_depth_p90'):.3f} over {len(own)}")
     return out
 
 

@@ -78,14 +78,17 @@ def inspect(folder: str, picture: Path | None = None, downscale: int | None = No
 
 
 def write_masks(folder: str, out: Path, downscale: int | None) -> list[str]:
-    """Masks of all views as they would be used, and a sheet of them. Raises DataError, OutputError."""
+    """Masks of all views as they would be used, or as the mesh of a finished run covers them, and a sheet of them.
+
+    Raises DataError, OutputError, CheckpointError.
+    """
     import numpy as np
 
     from sculpt_framework.errors import DataError
     from sculpt_framework.posed_images.contact_sheet import contact_sheet
 
     _check_new(out)
-    scene = _load(folder, downscale)
+    scene = _outlined(Path(folder), downscale) if _is_run(folder) else _load(folder, downscale)
     masked = [view for view in (*scene.train, *scene.test) if view.alpha is not None]
     if not masked:
         raise DataError(f"{folder}: no view has a mask, and none was made.")
@@ -102,6 +105,25 @@ def write_masks(folder: str, out: Path, downscale: int | None) -> list[str]:
         f"{sheet}: the masks over their images",
         *(f"note: {n}" for n in scene.notes),
     ]
+
+
+def _is_run(folder: str) -> bool:
+    from sculpt_framework.engine.run import CONFIG_NAME
+
+    return (Path(folder) / CONFIG_NAME).is_file()
+
+
+def _outlined(run: Path, downscale: int | None) -> "Scene":
+    """The scene of a run, with the outlines of its mesh for masks."""
+    from sculpt_framework.engine.run import MESH_NAME, load_finished
+    from sculpt_framework.errors import ConfigError
+    from sculpt_framework.evaluation.mesh import load_mesh
+    from sculpt_framework.export.outlines import covered_by
+
+    if downscale is not None:
+        raise ConfigError(f"--downscale: the masks of a run have the size of its images; give the scene, not {run}.")
+    scene, mesh = load_finished(run).scene, load_mesh(run / MESH_NAME)
+    return replace(scene, train=tuple(covered_by(mesh, scene.train)), test=tuple(covered_by(mesh, scene.test)))
 
 
 def write_depth_maps(folder: str, out: Path, pixels: int, downscale: int | None) -> list[str]:
@@ -210,8 +232,8 @@ def _parser() -> argparse.ArgumentParser:
     card = commands.add_parser("inspect", help="print what is in a scene, and what is unusual about it")
     card.add_argument("folder", metavar="DIR", help="scene folder, or demo:NAME")
     card.add_argument("--picture", type=Path, metavar="FILE", help="also a PNG of cameras, box, images and masks")
-    masks = commands.add_parser("masks", help="write the masks a run would use, to look at and to mend")
-    masks.add_argument("folder", metavar="DIR", help="scene folder")
+    masks = commands.add_parser("masks", help="write the masks a run would use, or those a finished run ended with")
+    masks.add_argument("folder", metavar="DIR", help="scene folder, or the folder of a finished run")
     masks.add_argument("--out", type=Path, metavar="FOLDER", required=True, help="new or empty folder")
     depths = commands.add_parser("depths", help="write depths, normals and confidence found by multi-view stereo")
     depths.add_argument("folder", metavar="DIR", help="scene folder, or demo:NAME")

@@ -31,9 +31,9 @@ class Consistency:
     """Its 90th percentile."""
     residual_depth: float | None
     """Median of how far the surface is off across itself, by the displacement along epipolar lines; scene units."""
-    residual_depth_mean: float | None
-    """Mean of the same, which errors in parts of the surface move too. Where it is more than 2 % of the diagonal of the
-    mesh's bounding box, which mostly is a wrong match, it counts as so much."""
+    residual_depth_p90: float | None
+    """Its 90th percentile, which errors in a part of the surface move too: of the depth errors the one that ranks
+    meshes best."""
     judged: float
     """Share of the pixels of the masks, over all pairs, that have texture and that the mesh shows to both cameras."""
     pairs: int
@@ -49,8 +49,6 @@ class Consistency:
         return asdict(self)
 
 
-_FARTHEST = 0.02
-"""Share of the mesh's diagonal from which on a distance says that it is wrong, not by how much."""
 CURVE_PAIRS, CURVE_PIXELS = 12, 150_000
 """Neighbouring views that a surface is judged by while it is trained, and pixels in each."""
 EVALUATION_PIXELS = 1_000_000
@@ -59,7 +57,7 @@ _NOTHING = Consistency(
     residual_px=None,
     residual_p90_px=None,
     residual_depth=None,
-    residual_depth_mean=None,
+    residual_depth_p90=None,
     judged=0.0,
     pairs=0,
     roughness=None,
@@ -109,7 +107,7 @@ class PosedImages:
             residual_px=float(np.median(pixels)) if len(pixels) else None,
             residual_p90_px=float(np.percentile(pixels, 90)) if len(pixels) else None,
             residual_depth=float(np.median(depths)) if len(depths) else None,
-            residual_depth_mean=float(np.minimum(depths, _FARTHEST * mesh.diagonal).mean()) if len(depths) else None,
+            residual_depth_p90=float(np.percentile(depths, 90)) if len(depths) else None,
             judged=len(pixels) / whole if whole else 0.0,
             pairs=len(self.pairs),
             roughness=uneven.mean(known),

@@ -30,7 +30,7 @@ MEASURED = (
     "residual_px",
     "residual_p90_px",
     "residual_depth",
-    "residual_depth_mean",
+    "residual_depth_p90",
     "judged",
     "pairs",
     "roughness",

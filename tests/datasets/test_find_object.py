@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 import torch
 
+from sculpt_framework.errors import ConfigError
 from sculpt_framework.posed_images.find_object import FoundObject, find_object
 from sculpt_framework.posed_images.support import find_support
 from sculpt_framework.types import Box, View
+from sculpt_plugins.datasets.auto.config import AutoDatasetConfig
 from tests.multi_view_stereo.exact_views import Surface, camera_at, photograph
 
 _BALL, _TABLE = 0.45, 1.6
@@ -142,3 +144,11 @@ def test_without_a_plane_there_is_no_support():
     ball /= np.linalg.norm(ball, axis=1, keepdims=True)
     assert find_support(0.5 * ball, ball, reach=0.6) is None
     assert find_support(ball[:3], ball[:3], reach=2.0) is None
+
+
+@pytest.mark.parametrize("option", ["masks", "keep-support", "box"])
+def test_options_of_photographs_are_not_ignored_for_demo_scenes(option: str):
+    given = {"masks": "none"} if option == "masks" else {"keep_support": True} if option == "keep-support" else {
+        "box": (0.0, 0.0, 0.0, 1.0, 1.0, 1.0)}  # fmt: skip
+    with pytest.raises(ConfigError, match=f"--dataset.{option} is for photographs"):
+        replace(AutoDatasetConfig(), **given).build("demo")

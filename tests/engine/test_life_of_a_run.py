@@ -18,6 +18,7 @@ from safetensors.torch import save_file
 from small_runs import ONE_STAGE, TWO_STAGES, small_config, train
 from torch import Tensor
 
+from sculpt_framework.cli.data import write_masks
 from sculpt_framework.config import MethodConfig
 from sculpt_framework.engine import steering as steering_module
 from sculpt_framework.engine.checkpoint import read_checkpoint, write_checkpoint
@@ -227,6 +228,7 @@ def test_ctrl_c_saves_and_resume_ends_as_if_unbroken(
     assert (folder / "mesh.ply").read_bytes() == (unbroken / "mesh.ply").read_bytes()
     times = [row["t_train_s"] for row in read_curve(folder / "curve.csv")]
     assert times == sorted(times)
+    assert write_masks(str(folder), tmp_path / "masks", None)[0] == f"{tmp_path / 'masks'}: 13 masks"
 
     before = files_of(folder)
     capsys.readouterr()

@@ -42,7 +42,7 @@ from sculpt_framework.evaluation.drawing import Drawing
 from sculpt_framework.evaluation.drawing_png import to_png
 from sculpt_framework.evaluation.geometry import MeasuredMesh
 from sculpt_framework.evaluation.mesh import Mesh, load_mesh
-from sculpt_framework.evaluation.visibility import seen_by_any, visible_distances
+from sculpt_framework.evaluation.visibility import Observed, seen_by_any, visible_distances
 from sculpt_framework.experiments.capture_measures import radius_of
 from sculpt_framework.export.decimation import decimate
 from sculpt_framework.export.mesh_files import vertex_normals
@@ -87,7 +87,8 @@ def measure_capture(folder: Path, out: Path, pairs: int, pixels: int, seconds: f
         raise SystemExit(f"{folder}: no gt_mesh.ply; expected a capture whose truth is known.")
     truth = load_mesh(scene.reference_mesh)
     radius, reference = radius_of(truth), MeasuredMesh(truth, SAMPLES)
-    seen = seen_by_any(reference, [view.camera for view in scene.train])
+    cameras = [view.camera for view in scene.train]
+    seen, observed = seen_by_any(reference, cameras), Observed(cameras=cameras, box=scene.box)
     center = scene.box.center.double().numpy()
     images = PosedImages(scene.train, center, pairs_at_most=pairs, pixels_at_most=pixels)
     known = {(row["capture"], row["mesh"]) for row in read_rows(out / "trust.csv")}
@@ -102,7 +103,7 @@ def measure_capture(folder: Path, out: Path, pairs: int, pixels: int, seconds: f
             sys.stdout.write(f"{folder.name} {name}: left out, {error}\n")
             continue
         found = images.measure(mesh)
-        error = visible_distances(mesh, reference, seen).point_to_surface
+        error = visible_distances(mesh, reference, seen, observed=observed).point_to_surface
         lengths = [
             None if x is None else 100 * x / radius for x in (error, found.residual_depth_p90, found.residual_depth)
         ]

@@ -12,11 +12,14 @@ from jaxtyping import Bool, Float64
 
 from sculpt_framework.evaluation.geometry import MeasuredMesh
 from sculpt_framework.evaluation.mesh import Mesh
-from sculpt_framework.types import Camera
+from sculpt_framework.types import Box, Camera
 
 _SLACK = 1e-4
 """Share of the bounding box's diagonal by which a ray may be blocked before its point and the point still be seen: a
 point on a face must not be hidden by the rounding of that face or of the one beside it."""
+
+_WALL = 0.02
+"""Share of a box's longest side from its walls within which a surface that goes on beyond it is not compared."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,15 +61,42 @@ def points_seen(
     return seen
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Observed:
+    """What photographs that cut an object off can be asked for: what a camera sees, away from the box's walls, where a
+    closed surface has to end."""
+
+    cameras: Sequence[Camera]
+    box: Box
+    """World frame, as the cameras."""
+
+    def inside(self, points: Float64[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+        low, high = self.box.minimum.double().numpy(), self.box.maximum.double().numpy()
+        margin = _WALL * (high - low).max()
+        return ((points > low + margin) & (points < high - margin)).all(axis=1)
+
+
 def visible_distances(
-    result: Mesh, reference: MeasuredMesh, seen: Bool[np.ndarray, " n"], *, seed: int = 0
+    result: Mesh,
+    reference: MeasuredMesh,
+    seen: Bool[np.ndarray, " n"],
+    *,
+    observed: Observed | None = None,
+    seed: int = 0,
 ) -> VisibleDistances:
-    """Measure ``result`` against the seen samples of ``reference``; it is sampled as ``chamfer`` does."""
+    """Measure ``result`` against the seen samples of ``reference``; it is sampled as ``chamfer`` does.
+
+    With ``observed``, of both only what it holds, and of the result only what its cameras see of it.
+    """
+    if observed is not None:
+        seen = seen & observed.inside(reference.samples.points)
     share = float(seen.mean())
     if not result.areas.sum() > 0 or not seen.any():
         return VisibleDistances(point_to_surface=np.inf, accuracy=np.inf, completeness=np.inf, seen_share=share)
     measured = MeasuredMesh(result, len(seen), seed + 1)
     chosen = seen[reference.nearest_samples(measured.samples.points)]
+    if observed is not None:
+        chosen &= observed.inside(measured.samples.points) & seen_by_any(measured, observed.cameras)
     there, _ = reference.squared_distances(measured.samples.points[chosen])
     back, _ = measured.squared_distances(reference.samples.points[seen])
     accuracy = float(np.sqrt(there).mean()) if chosen.any() else np.inf

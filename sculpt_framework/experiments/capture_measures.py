@@ -17,7 +17,7 @@ from sculpt_framework.evaluation.certificate import certify
 from sculpt_framework.evaluation.consistency import CURVE_PAIRS, CURVE_PIXELS, EVALUATION_PIXELS, PosedImages
 from sculpt_framework.evaluation.geometry import MeasuredMesh, chamfer
 from sculpt_framework.evaluation.mesh import Mesh, load_mesh
-from sculpt_framework.evaluation.visibility import seen_by_any, visible_distances
+from sculpt_framework.evaluation.visibility import Observed, seen_by_any, visible_distances
 from sculpt_framework.experiments.plan import Cell, Plan
 from sculpt_framework.experiments.runner import ended_as, run_folder
 from sculpt_framework.experiments.suites import Suite
@@ -62,7 +62,8 @@ class Capture:
             if not truth.areas.sum() > 0:
                 raise DataError(f"{scene.reference_mesh} cannot be compared with: all its faces have area 0.")
             self._truth = MeasuredMesh(truth, _SAMPLES)
-            self._seen = seen_by_any(self._truth, [view.camera for view in scene.train])
+            cameras = [view.camera for view in scene.train]
+            self._seen, self._observed = seen_by_any(self._truth, cameras), Observed(cameras=cameras, box=scene.box)
             self.radius = radius_of(truth)
 
     def measure(self, mesh: Mesh) -> Mapping[str, Any]:
@@ -74,7 +75,7 @@ class Capture:
         certificate = certify(mesh.vertices, mesh.faces)
         out |= {"faces": len(mesh.faces), "watertight": certificate.watertight}
         if self._truth is not None:
-            distances = asdict(visible_distances(mesh, self._truth, self._seen))
+            distances = asdict(visible_distances(mesh, self._truth, self._seen, observed=self._observed))
             names = {"point_to_surface": "distance", "accuracy": "accuracy", "completeness": "completeness"}
             # Infinitely far is a mesh that has nothing where the truth is seen.
             out |= {name: distances[key] if np.isfinite(distances[key]) else None for key, name in names.items()}

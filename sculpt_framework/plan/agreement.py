@@ -16,6 +16,8 @@ SPEAKING_LEAST = 0.02
 UNEVEN_COLORS = 0.017
 """Share of its brightness by which a place differs between views from which on colours themselves are no measure of
 what belongs together, only how they vary around a place."""
+CUT = 0.5
+"""Share of the masks, cut by the borders of their images, from which on carving has too little to go by."""
 UNEVEN_LIGHT = 0.03
 """The same share from which on the surface does not learn from colours either: they would move it away from where views
 agree."""
@@ -46,8 +48,10 @@ def stereo(config: MethodConfig, evidence: Evidence) -> Ruling:
         return Ruling(config=config, value="as the method starts", evidence=why, measured=measured)
     uneven = evidence.gloss.unevenness
     why += f"; {_differing(uneven)}"
-    measured["unevenness"] = uneven
-    if uneven < UNEVEN_COLORS:
+    measured |= {"unevenness": uneven, "cut": evidence.cut}
+    if evidence.cut >= CUT:
+        why += f"; {100 * evidence.cut:.0f} % of the masks are cut by the border"
+    elif uneven < UNEVEN_COLORS:
         return Ruling(config=config, value="as the method starts", evidence=why, measured=measured)
     return Ruling(
         config=replace(config, initializer=_start(STEREO, config)),
@@ -85,7 +89,7 @@ def light(config: MethodConfig, evidence: Evidence) -> Ruling:
     why = _differing(uneven)
     measured = {"unevenness": uneven}
     # Agreement leads no farther than windows overlap: it cannot do without colours from a start that is not near.
-    if uneven < UNEVEN_LIGHT or name_of(config.initializer) != STEREO:
+    if (uneven < UNEVEN_LIGHT and evidence.cut < CUT) or name_of(config.initializer) != STEREO:
         value = "the surface learns from colours and from agreement between views"
         return Ruling(config=config, value=value, evidence=why, measured=measured)
     return Ruling(

@@ -10,6 +10,7 @@ from sculpt_framework.plan.pictures import (
     WIDTHS,
     blind_views,
     contrast,
+    is_cut,
     repeated_views,
     speaking,
     thinnest,
@@ -30,6 +31,8 @@ class Evidence:
     """Train views."""
     masked: int
     """Of these, with an alpha."""
+    cut: float = 0.0
+    """Share of the masks that the border of their image cuts."""
     blind: tuple[str, ...] = ()
     """Names of views that show nothing of the object."""
     repeated: tuple[tuple[str, str], ...] = ()
@@ -70,6 +73,7 @@ def gather(scene: Scene) -> Evidence:
     return Evidence(
         views=len(views),
         masked=sum(view.alpha is not None for view in views),
+        cut=float(np.mean([is_cut(view) for view in seeing])) if seeing else 0.0,
         blind=blind,
         repeated=repeated_views(seeing, box),
         view_megabytes=float(np.median([view.rgb.shape[0] * view.rgb.shape[1] * 32 / 2**20 for view in views])),

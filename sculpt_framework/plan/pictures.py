@@ -29,6 +29,14 @@ _SPEAKING = 0.01
 """Standard deviation of brightness over 3x3 pixels from which neighbouring views can be compared there."""
 
 
+def is_cut(view: View) -> bool:
+    """Whether the object goes on beyond the border of the image."""
+    if view.alpha is None:
+        return False
+    alpha = view.alpha
+    return any(bool((side > 0.5).any()) for side in (alpha[0], alpha[-1], alpha[:, 0], alpha[:, -1]))
+
+
 def contrast(view: View) -> tuple[float, ...]:
     """For each of ``WIDTHS`` the root mean square of what brightness (0 to 1) has finer than that, on the object."""
     grey, mask = _object(view)

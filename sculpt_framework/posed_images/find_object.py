@@ -46,6 +46,9 @@ _KNOWN = 0.02
 _WALLED, _ROOM, _OPEN = 0.1, 5, 3
 """What takes up more than this share of so many of the six walls of the space is a room, or a table, not an object:
 the first where the space is known to hold the object, of which there may be more beyond it, the second elsewhere."""
+_SURE, _SHOWN = 0.6, 0.8
+"""Share of the masks in which what is nearest must have been seen, and of the images that must show it: else views
+agree by chance."""
 _LEAST = 0.002
 """A mask of less than this share of the image shows nothing."""
 
@@ -91,10 +94,13 @@ def find_object(
     if not keep_support and sum(wall.mean() > _WALLED for wall in walls) >= (_ROOM if sure else _OPEN):
         return f"{known}, but what they show fills the space: no object ends within it"
     rough = _outlines(posed, volume, inside, seen)
+    sure = sum(int((each.inside & each.sure).sum()) for each in rough) / max(1, sum(int(e.inside.sum()) for e in rough))
+    if sure < _SURE:
+        return f"{known}, but of what they make up only {100 * sure:.0f} % is seen"
     done = in_threads(lambda pair: _with_mask(*pair), list(zip((*views, *test), rough, strict=True)))
     train = [view for view in done[: len(views)] if view.alpha is not None and float(view.alpha.mean()) >= _LEAST]
-    if not train:
-        return f"{known}, but no view shows the object they make up"
+    if len(train) < _SHOWN * len(views):
+        return f"{known}, but only {len(train)} of {len(views)} images show what they make up"
     said = (
         f"{bare} of {len(done)} images have no mask: the object is what neighbouring views agree on in depth ({known})"
     )

@@ -8,7 +8,7 @@ import trimesh
 from sculpt_framework.demo_scenes.cameras import demo_cameras
 from sculpt_framework.evaluation.geometry import MeasuredMesh, chamfer
 from sculpt_framework.evaluation.mesh import Mesh
-from sculpt_framework.evaluation.visibility import seen_by_any, visible_distances
+from sculpt_framework.evaluation.visibility import Observed, seen_by_any, visible_distances
 from sculpt_framework.types import Camera
 
 FROM_ABOVE = torch.tensor([[1.0, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 4], [0, 0, 0, 1]], dtype=torch.float64)
@@ -87,6 +87,23 @@ def test_what_nobody_sees_is_not_counted():
     made_up = mesh_of(trimesh.util.concatenate([trimesh.Trimesh(whole.vertices, whole.faces), below]))
     assert chamfer(made_up, reference, samples=5000).accuracy > 0.05
     assert visible_distances(made_up, reference, seen).accuracy == pytest.approx(0, abs=1e-9)
+
+
+def test_where_the_box_cuts_the_object_nothing_is_compared():
+    """A bar that goes on beyond the box; the result is closed at the box's wall, as it has to be."""
+    bar = mesh_of(trimesh.creation.box(extents=(4, 1, 1)))
+    cut = mesh_of(trimesh.creation.box(extents=(2, 1, 1)))
+    reference, cameras = MeasuredMesh(bar, samples=8000), demo_cameras(40, 100)
+    seen, half = seen_by_any(reference, cameras), torch.tensor([1.0, 0.6, 0.6], dtype=torch.float64)
+    observed = Observed(cameras=cameras, box=Box(minimum=-half, maximum=half))
+    assert visible_distances(cut, reference, seen).point_to_surface > 0.05
+    measured = visible_distances(cut, reference, seen, observed=observed)
+    assert measured.point_to_surface == pytest.approx(0, abs=1e-9)
+    # What no camera sees of the result does not count either: a wall inside.
+    walled = trimesh.util.concatenate(
+        [trimesh.creation.box(extents=(2, 1, 1)), trimesh.creation.box(extents=(0.2, 0.2, 0.2))]
+    )
+    assert visible_distances(mesh_of(walled), reference, seen, observed=observed).accuracy == pytest.approx(0, abs=1e-9)
 
 
 def test_where_all_is_seen_it_is_the_plain_distance():

@@ -47,6 +47,13 @@ def test_stereo_only_where_colours_say_something() -> None:
     assert changed["stereo"].spared == {"depth maps": 50.0}
 
 
+def test_objects_cut_by_the_images_borders_are_not_carved() -> None:
+    config, changed = decided(replace(USUAL, cut=0.6))
+    assert name_of(config.initializer) == "stereo"
+    assert "60 % of the masks are cut by the border" in changed["stereo"].evidence
+    assert name_of(decided(replace(USUAL, cut=0.4))[0].initializer) == "photo-hull"
+
+
 def uneven(share: float) -> Evidence:
     return replace(USUAL, gloss=Gloss(strength=0.01, points=800, unevenness=share))
 

@@ -70,16 +70,52 @@ def find_object(
     most sides, unless with ``keep_support``, which leaves what it stands on.
     """
     frame = _cube(seed)
-    posed = [replace(view, camera=frame.camera_to_object(view.camera)) for view in (*views, *test)]
-    chosen = np.unique(np.linspace(0, len(views) - 1, min(_VIEWS, len(views))).round().astype(int))
-    compared = [posed[index] for index in chosen]
-    reach = min([1.0, *(_WITHIN * float(view.camera.position.norm()) for view in compared)])
-    space = _space(1.0, _SPACE_CELLS)
-    ball = np.linalg.norm(space.points, axis=1).astype(np.float32) - np.float32(reach)
+    given = (*views, *test)
+    posed = [replace(view, camera=frame.camera_to_object(view.camera)) for view in given]
     bare = sum(view.alpha is None for view in posed)
     logging.getLogger("sculpt").info("%d images have no mask: looking for the object by depth", bare)
+    chosen = np.unique(np.linspace(0, len(views) - 1, min(_VIEWS, len(views))).round().astype(int))
+    solid = _solid([posed[index] for index in chosen], sure=sure, keep_support=keep_support)
+    if isinstance(solid, str):
+        return solid
+    rough = _outlines(posed, solid)
+    whole = sum(int(each.inside.sum()) for each in rough)
+    share = sum(int((each.inside & each.sure).sum()) for each in rough) / max(1, whole)
+    if share < _SURE:
+        return f"{solid.known}, but of what they make up only {100 * share:.0f} % is seen"
+    done = in_threads(lambda pair: _with_mask(*pair), list(zip(given, rough, strict=True)))
+    train = [view for view in done[: len(views)] if view.alpha is not None and float(view.alpha.mean()) >= _LEAST]
+    if len(train) < _SHOWN * len(views):
+        return f"{solid.known}, but only {len(train)} of {len(views)} images show what they make up"
+    said = f"{bare} of {len(done)} images have no mask: the object is what they agree on in depth ({solid.known})"
+    said += "; the plane it stands on is cut away (--dataset.keep-support leaves it)" if solid.stands else ""
+    said += "; look at the masks: sculpt-data masks DIR."
+    if len(train) < len(views):
+        said += f" {len(views) - len(train)} images that do not show it are left out."
+    return FoundObject(train=train, test=done[len(views) :], said=said)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Solid:
+    """The object in cells."""
+
+    volume: Volume
+    inside: Bool[np.ndarray, "x y z"]
+    seen: Bool[np.ndarray, "x y z"]
+    """Near what some view sees."""
+    stands: bool
+    """On a plane, which is cut away."""
+    known: str
+    """What there is of depths, in words."""
+
+
+def _solid(views: Sequence[View], *, sure: bool, keep_support: bool) -> _Solid | str:
+    """What depths show of the object, or in words why that is none. Cameras in the frame of the cube."""
+    reach = min([1.0, *(_WITHIN * float(view.camera.position.norm()) for view in views)])
+    space = _space(1.0, _SPACE_CELLS)
+    ball = np.linalg.norm(space.points, axis=1).astype(np.float32) - np.float32(reach)
     options = StereoOptions(pixels=round(_AROUND * _PIXELS), neighbours=_NEIGHBOURS, agreeing=_AGREEING)
-    maps = find_depths(compared, space.holding(ball.reshape(space.shape)), options)
+    maps = find_depths(views, space.holding(ball.reshape(space.shape)), options)
     known = f"depths at {100 * maps.known:.0f} % of the pixels of {len(maps.views)} views"
     if maps.known < _KNOWN:
         return f"only {known}: neighbouring views show little that is alike"
@@ -93,22 +129,7 @@ def find_object(
     walls = [wall for axis in range(3) for wall in (inside.take(0, axis), inside.take(-1, axis))]
     if not keep_support and sum(wall.mean() > _WALLED for wall in walls) >= (_ROOM if sure else _OPEN):
         return f"{known}, but what they show fills the space: no object ends within it"
-    rough = _outlines(posed, volume, inside, seen)
-    sure = sum(int((each.inside & each.sure).sum()) for each in rough) / max(1, sum(int(e.inside.sum()) for e in rough))
-    if sure < _SURE:
-        return f"{known}, but of what they make up only {100 * sure:.0f} % is seen"
-    done = in_threads(lambda pair: _with_mask(*pair), list(zip((*views, *test), rough, strict=True)))
-    train = [view for view in done[: len(views)] if view.alpha is not None and float(view.alpha.mean()) >= _LEAST]
-    if len(train) < _SHOWN * len(views):
-        return f"{known}, but only {len(train)} of {len(views)} images show what they make up"
-    said = (
-        f"{bare} of {len(done)} images have no mask: the object is what neighbouring views agree on in depth ({known})"
-    )
-    said += "; the plane it stands on is cut away (--dataset.keep-support leaves it)" if support is not None else ""
-    said += "; look at the masks: sculpt-data masks DIR."
-    if len(train) < len(views):
-        said += f" {len(views) - len(train)} images that do not show it are left out."
-    return FoundObject(train=train, test=done[len(views) :], said=said)
+    return _Solid(volume=volume, inside=inside, seen=seen, stands=support is not None, known=known)
 
 
 def _cube(seed: Box) -> Box:
@@ -168,13 +189,11 @@ class _Rough:
 _NOTHING = _Rough(inside=np.zeros((1, 1), bool), sure=np.zeros((1, 1), bool))
 
 
-def _outlines(
-    views: Sequence[View], volume: Volume, inside: Bool[np.ndarray, "x y z"], seen: Bool[np.ndarray, "x y z"]
-) -> list[_Rough]:
+def _outlines(views: Sequence[View], solid: _Solid) -> list[_Rough]:
     stack = stereo_views([replace(view, alpha=None) for view in views], _AROUND * _PIXELS / 2)
-    nearest, _ = depth_bounds(stack, inside, volume)
-    nearest_seen, _ = depth_bounds(stack, inside & seen, volume)
-    sure = (nearest_seen > 0) & (nearest_seen < nearest + _GROWN * volume.cell)
+    nearest, _ = depth_bounds(stack, solid.inside, solid.volume)
+    nearest_seen, _ = depth_bounds(stack, solid.inside & solid.seen, solid.volume)
+    sure = (nearest_seen > 0) & (nearest_seen < nearest + _GROWN * solid.volume.cell)
     found = {
         int(given): _Rough(inside=nearest[i, :rows, :columns] > 0, sure=sure[i, :rows, :columns])
         for i, (given, (rows, columns)) in enumerate(zip(stack.given, stack.sizes, strict=True))

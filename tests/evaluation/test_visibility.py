@@ -9,7 +9,7 @@ from sculpt_framework.demo_scenes.cameras import demo_cameras
 from sculpt_framework.evaluation.geometry import MeasuredMesh, chamfer
 from sculpt_framework.evaluation.mesh import Mesh
 from sculpt_framework.evaluation.visibility import Observed, seen_by_any, visible_distances
-from sculpt_framework.types import Camera
+from sculpt_framework.types import Box, Camera
 
 FROM_ABOVE = torch.tensor([[1.0, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 4], [0, 0, 0, 1]], dtype=torch.float64)
 """At (0, 0, 4), looking down; the image's x is the world's."""

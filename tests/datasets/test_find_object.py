@@ -14,7 +14,7 @@ from sculpt_plugins.datasets.auto.config import AutoDatasetConfig
 from tests.multi_view_stereo.exact_views import Surface, camera_at, photograph
 
 _BALL, _TABLE = 0.45, 1.6
-SIDE = 160
+SIDE = 96
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,8 +73,9 @@ def test_a_ball_is_told_from_the_table_it_stands_on():
     assert isinstance(found, FoundObject), found
     assert "the plane it stands on is cut away" in found.said
     scores = overlaps([*found.test, *found.train], truth)
-    assert min(scores) > 0.9
-    assert np.mean(scores) > 0.94
+    # A pixel along the outline is a twenty-fifth of the ball.
+    assert min(scores) > 0.85
+    assert np.mean(scores) > 0.92
 
 
 def test_what_it_stands_on_may_stay():

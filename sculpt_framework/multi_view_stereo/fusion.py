@@ -16,6 +16,7 @@ from scipy import ndimage
 
 from sculpt_framework.cpu_kernels import kernel_cache, share_threads
 from sculpt_framework.multi_view_stereo.depth_maps import DepthMaps
+from sculpt_framework.multi_view_stereo.stereo_views import StereoViews
 from sculpt_framework.shape_from_images.volume import Volume, signed_distance
 
 with kernel_cache("fusion", Path(__file__).with_name("fusion_kernels.py")):
@@ -37,6 +38,8 @@ those it lies in, for it to be inside of something."""
 _SOFT_SLOPE, _SOFT_ERROR = 1.0, 0.1
 """Differences between cells, and to what is wanted, that count by their squares; beyond, linearly. In units of
 ``_FRONT``: the slope of a distance is a third."""
+_ASKING, _BESIDE = 2, 4
+"""Views whose rays must ask for a cell for it to be filled, and pixels from a mask's border within which none asks."""
 _STEPS = 100
 _CRUMB = 1e-3
 """Pieces smaller than this share of the largest are mistakes."""
@@ -51,7 +54,12 @@ def fuse(solid: Volume, maps: DepthMaps) -> Volume:
     before = np.clip(solid.values / unit, _LOWEST, 1)
     least = np.where(solid.values > 0, before, _LOWEST)
     # What no ray of a mask passes is outside; a little around it, for differences.
-    values, _ = _joined(solid, solid.values < unit, maps, before, np.float32(_PRIOR), least)
+    wanted, weights, _ = _told(solid, solid.values < unit, maps, before, np.float32(_PRIOR))
+    values = _smoothed(wanted, weights, least)
+    asked = _asked_by_rays(values, solid, maps.views)
+    if asked.any():
+        filled = np.where(asked, _LOWEST, wanted), np.where(asked, np.float32(1), weights)
+        values = np.minimum(values, _smoothed(*filled, least))
     inside = _whole(values < 0)
     return solid.holding(signed_distance(inside, values * unit, solid.cell))
 
@@ -74,20 +82,40 @@ def fuse_without_outlines(space: Volume, maps: DepthMaps) -> tuple[Volume, Bool[
     before = np.where(behind, _LOWEST, np.float32(1))
     prior = np.where(hidden > 0, np.float32(2 * _PRIOR), np.float32(_PRIOR))
     least = np.where(asked, _LOWEST, np.float32(1))
-    values, known = _joined(space, asked, maps, before, prior, least)
-    return space.holding(values), known
+    wanted, weights, known = _told(space, asked, maps, before, prior)
+    return space.holding(_smoothed(wanted, weights, least)), known
 
 
-def _joined(
+def _asked_by_rays(
+    values: Float32[np.ndarray, "x y z"], solid: Volume, views: StereoViews
+) -> Bool[np.ndarray, "x y z"]:
+    """Where rays of several masks would meet nothing: on each the cell that views speak least against.
+
+    A ray of a mask meets the object somewhere, also where it is too thin, or too plain, for depths to tell of it.
+    """
+    origin, full, allowed = np.array(solid.origin, np.float32), values < 0, solid.values < 0
+    counts = np.zeros(values.shape, np.uint8)
+    for view, inside in enumerate(views.inside):
+        # Rays beside the outline miss cells that are not quite filled.
+        wanted = np.asarray(ndimage.binary_erosion(inside, iterations=_BESIDE), dtype=bool)
+        asked = np.zeros(values.shape, bool)
+        kernels.ask_rays(
+            wanted, views.poses[view], views.lenses[view], views.positions[view], allowed, full, values, origin,
+            np.float32(solid.cell), asked,
+        )  # fmt: skip
+        counts += asked
+    return counts >= _ASKING
+
+
+def _told(
     volume: Volume,
     asked: Bool[np.ndarray, "x y z"],
     maps: DepthMaps,
     before: Float32[np.ndarray, "x y z"],
     prior: Float32[np.ndarray, "#x #y #z"] | np.float32,
-    least: Float32[np.ndarray, "x y z"],
-) -> tuple[Float32[np.ndarray, "x y z"], Bool[np.ndarray, "x y z"]]:
-    """What the views say, joined with what was known ``before`` by the weight ``prior``, never below ``least``; and
-    where any of them says something."""
+) -> tuple[Float32[np.ndarray, "x y z"], Float32[np.ndarray, "x y z"], Bool[np.ndarray, "x y z"]]:
+    """What the views say, or what was known ``before`` where they say nothing, its weight, ``prior`` there, and
+    where they say something."""
     share_threads()
     views = maps.views
     seen, sureness = np.zeros(volume.shape, np.float32), np.zeros(volume.shape, np.float32)
@@ -99,7 +127,7 @@ def _joined(
     wanted = np.where(known, seen, before)
     enough = np.where(seen >= 1, np.float32(_SURE_EMPTY), np.float32(_SURE))
     weights = np.where(known, np.clip(sureness / enough, np.float32(_PRIOR), 1), prior)
-    return _smoothed(wanted, weights.astype(np.float32), least), known
+    return wanted, weights.astype(np.float32), known
 
 
 def _smoothed(

@@ -116,6 +116,44 @@ def count_hiding(points, wanted, depths, poses, lenses, sizes, back, hidden, sho
 
 
 @njit(parallel=True, **_OPTIONS)
+def ask_rays(wanted, pose, lens, position, allowed, full, values, origin, cell, asked):
+    """Mark in ``asked`` [x, y, z], for each ``wanted`` pixel [h, w] of a view whose ray meets nothing ``full``, the
+    ``allowed`` cell along it with the smallest of ``values``."""
+    nx, ny, nz = full.shape
+    step = _HALF * cell
+    for row in prange(wanted.shape[0]):
+        way, low, high = np.empty(3, np.float32), np.empty(3, np.float32), np.empty(3, np.float32)
+        for k in range(3):
+            low[k], high[k] = origin[k], origin[k] + np.float32(full.shape[k]) * cell
+        for column in range(wanted.shape[1]):
+            if not wanted[row, column]:
+                continue
+            x = (np.float32(column) + _HALF - lens[2]) / lens[0]
+            y = (np.float32(row) + _HALF - lens[3]) / lens[1]
+            first, last = _NEAR, np.float32(1e9)
+            for k in range(3):
+                way[k] = pose[0, k] * x + pose[1, k] * y + pose[2, k]
+                slope = way[k] if abs(way[k]) > np.float32(1e-9) else np.float32(1e-9)
+                a, b = (low[k] - position[k]) / slope, (high[k] - position[k]) / slope
+                first, last = max(first, min(a, b)), min(last, max(a, b))
+            depth, least, best = first + _HALF * step, np.float32(np.inf), (np.int32(-1), np.int32(0), np.int32(0))
+            met = False
+            while depth < last:
+                i = np.int32((position[0] + depth * way[0] - origin[0]) / cell)
+                j = np.int32((position[1] + depth * way[1] - origin[1]) / cell)
+                k = np.int32((position[2] + depth * way[2] - origin[2]) / cell)
+                if 0 <= i < nx and 0 <= j < ny and 0 <= k < nz:
+                    if full[i, j, k]:
+                        met = True
+                        break
+                    if allowed[i, j, k] and values[i, j, k] < least:
+                        least, best = values[i, j, k], (i, j, k)
+                depth += step
+            if not met and best[0] >= 0:
+                asked[best[0], best[1], best[2]] = True
+
+
+@njit(parallel=True, **_OPTIONS)
 def dual_step(ahead, flow, step, soft):
     """Gradient ascent of the flow [x, y, z, 3] along the slopes of ``ahead`` [x, y, z], kept within unit length."""
     nx, ny, nz = ahead.shape

@@ -9,6 +9,7 @@ from exact_views import DentedBall, ball, exact_maps, fan, photograph, truth_of
 
 from sculpt_framework.demo_scenes.cameras import demo_cameras
 from sculpt_framework.errors import DataError
+from sculpt_framework.multi_view_stereo import fusion
 from sculpt_framework.multi_view_stereo.depth_maps import DepthMaps, StereoOptions, find_depths
 from sculpt_framework.multi_view_stereo.fusion import _whole, fuse
 from sculpt_framework.multi_view_stereo.stereo_views import stereo_views
@@ -66,6 +67,18 @@ def test_the_dent_is_dug_and_nothing_grows_out_of_the_hull(solid: Volume, maps: 
 def test_exact_depths_give_the_exact_shape(solid: Volume, maps: DepthMaps) -> None:
     """What is left is the error of fusing."""
     assert in_dent(fuse(solid, exact_maps(BALL, maps.views))).mean() < 0.25
+
+
+def test_a_small_part_that_only_masks_tell_of_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A ball of five cells' radius without any depth: rays of its masks ask for it. It would vanish else."""
+    small = DentedBall(radius=0.2, dent=0.0)
+    views = [photograph(small, camera, masked=True) for camera in demo_cameras(12, 160)]
+    solid = sample(visual_hull(views, 100, CPU), (1.0, 1.0, 1.0), CELLS, CPU)
+    maps = exact_maps(small, stereo_views(views, 80.0))
+    maps = replace(maps, depths=np.zeros_like(maps.depths), confidence=np.zeros_like(maps.confidence))
+    assert (fuse(solid, maps).values < 0).sum() > 0.5 * (solid.values < 0).sum()
+    monkeypatch.setattr(fusion, "_ASKING", len(views) + 1)
+    assert (fuse(solid, maps).values < 0).sum() < 0.5 * (solid.values < 0).sum()
 
 
 def nothing_known() -> DepthMaps:

@@ -123,7 +123,8 @@ def _outlined(run: Path, downscale: int | None) -> "Scene":
     if downscale is not None:
         raise ConfigError(f"--downscale: the masks of a run have the size of its images; give the scene, not {run}.")
     scene, mesh = load_finished(run).scene, load_mesh(run / MESH_NAME)
-    return replace(scene, train=tuple(covered_by(mesh, scene.train)), test=tuple(covered_by(mesh, scene.test)))
+    train, test = (covered_by(mesh.vertices, mesh.faces, views) for views in (scene.train, scene.test))
+    return replace(scene, train=tuple(train), test=tuple(test))
 
 
 def write_depth_maps(folder: str, out: Path, pixels: int, downscale: int | None) -> list[str]:

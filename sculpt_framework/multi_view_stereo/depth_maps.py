@@ -23,6 +23,8 @@ from sculpt_framework.types import View
 
 with kernel_cache("stereo", Path(__file__).with_name("patch_match_kernels.py")):
     from sculpt_framework.multi_view_stereo import patch_match_kernels as kernels
+with kernel_cache("rays", Path(__file__).with_name("ray_kernels.py")):
+    from sculpt_framework.multi_view_stereo import ray_kernels
 
 _COARSEST = 64
 """Pixels across the object in the coarsest images, at most."""
@@ -168,9 +170,10 @@ def depth_bounds(
     origin, cell = np.array(volume.origin, np.float32), np.float32(volume.cell)
 
     def bound(i: int) -> None:
-        kernels.bound_depths(
-            stack.inside, stack.poses, stack.lenses, stack.positions, i, full, origin, cell, nearest[i], farthest[i]
-        )
+        ray_kernels.bound_depths(
+            stack.inside[i], stack.poses[i], stack.lenses[i], stack.positions[i], full, origin, cell,
+            nearest[i], farthest[i],
+        )  # fmt: skip
 
     in_threads(bound, range(len(stack)))
     return nearest, farthest

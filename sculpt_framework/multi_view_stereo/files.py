@@ -13,7 +13,7 @@ from sculpt_framework.errors import DataError
 from sculpt_framework.export.atomic import cannot_write, write_atomically
 from sculpt_framework.multi_view_stereo.depth_maps import DepthMaps, StereoOptions, find_depths
 from sculpt_framework.shape_from_images.hull import visual_hull
-from sculpt_framework.shape_from_images.volume import Volume, sample
+from sculpt_framework.shape_from_images.volume import sample, whole_box
 from sculpt_framework.types import Scene, View
 
 Picture = UInt8[np.ndarray, "h w 3"]
@@ -59,7 +59,9 @@ def scene_depths(
     posed = [replace(view, camera=scene.box.camera_to_object(view.camera)) for view in chosen]
     x, y, z = (float(side) for side in scene.box.half_sides)
     cpu = torch.device("cpu")
-    solid = sample(visual_hull(posed, len(posed), cpu), (x, y, z), cells, cpu) if masked else _whole((x, y, z), cells)
+    solid = (
+        sample(visual_hull(posed, len(posed), cpu), (x, y, z), cells, cpu) if masked else whole_box((x, y, z), cells)
+    )
     maps = find_depths(posed, solid, options, tell)
     if maps.known == 0.0:
         raise DataError(
@@ -67,14 +69,6 @@ def scene_depths(
             "that show the same texture; check the poses, or take more photographs."
         )
     return [_in_world(maps, i, chosen[maps.views.given[i]], scene.box.scale) for i in range(len(maps.views))]
-
-
-def _whole(half_sides: tuple[float, float, float], cells: int) -> Volume:
-    """All of the box is solid."""
-    cell = 2 * max(half_sides) / cells
-    shape = [int(np.ceil(2 * side / cell)) for side in half_sides]
-    origin = (-0.5 * shape[0] * cell, -0.5 * shape[1] * cell, -0.5 * shape[2] * cell)
-    return Volume(values=np.full(shape, -1, np.float32), origin=origin, cell=cell)
 
 
 def _in_world(maps: DepthMaps, index: int, view: View, scale: float) -> ViewDepths:

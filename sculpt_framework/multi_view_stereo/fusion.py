@@ -21,6 +21,8 @@ from sculpt_framework.shape_from_images.volume import Volume, signed_distance
 
 with kernel_cache("fusion", Path(__file__).with_name("fusion_kernels.py")):
     from sculpt_framework.multi_view_stereo import fusion_kernels as kernels
+with kernel_cache("rays", Path(__file__).with_name("ray_kernels.py")):
+    from sculpt_framework.multi_view_stereo import ray_kernels
 
 _FRONT, _BACK = 3.0, 2.0
 """Cells in front of and behind what a view sees in which it tells a distance. Behind less than in front: thin parts are
@@ -94,12 +96,12 @@ def _asked_by_rays(
     A ray of a mask meets the object somewhere, also where it is too thin, or too plain, for depths to tell of it.
     """
     origin, full, allowed = np.array(solid.origin, np.float32), values < 0, solid.values < 0
-    counts = np.zeros(values.shape, np.uint8)
+    counts = np.zeros(values.shape, np.uint16)
     for view, inside in enumerate(views.inside):
         # Rays beside the outline miss cells that are not quite filled.
         wanted = np.asarray(ndimage.binary_erosion(inside, iterations=_BESIDE), dtype=bool)
         asked = np.zeros(values.shape, bool)
-        kernels.ask_rays(
+        ray_kernels.ask_rays(
             wanted, views.poses[view], views.lenses[view], views.positions[view], allowed, full, values, origin,
             np.float32(solid.cell), asked,
         )  # fmt: skip

@@ -44,6 +44,15 @@ def _depth_at(depths, normals, weights, lenses, view, u, v, jump):
     return depth, weight, abs(normal[0] * x + normal[1] * y + normal[2])
 
 
+@njit(inline="always", **_OPTIONS)
+def _projected(poses, lenses, view, x, y, z):
+    """Depth, column and row of a point; the last two mean nothing where it is not in front of the camera."""
+    far = poses[view, 2, 0] * x + poses[view, 2, 1] * y + poses[view, 2, 2] * z + poses[view, 2, 3]
+    right = poses[view, 0, 0] * x + poses[view, 0, 1] * y + poses[view, 0, 2] * z + poses[view, 0, 3]
+    down = poses[view, 1, 0] * x + poses[view, 1, 1] * y + poses[view, 1, 2] * z + poses[view, 1, 3]
+    return far, lenses[view, 0] * right / far + lenses[view, 2], lenses[view, 1] * down / far + lenses[view, 3]
+
+
 @njit(parallel=True, **_OPTIONS)
 def vote(points, wanted, depths, normals, weights, poses, lenses, front, back, values, sureness):
     """Per ``wanted`` point, how far it lies in front of what the views see, in units of ``front`` and cut at 1, and the
@@ -61,12 +70,10 @@ def vote(points, wanted, depths, normals, weights, poses, lenses, front, back, v
         weight_in, sum_in = np.zeros(_BINS, np.float32), np.zeros(_BINS, np.float32)
         total = _ZERO
         for i in range(depths.shape[0]):
-            far = poses[i, 2, 0] * x + poses[i, 2, 1] * y + poses[i, 2, 2] * z + poses[i, 2, 3]
+            far, u, v = _projected(poses, lenses, i, x, y, z)
             if not far > _NEAR:
                 continue
-            u = lenses[i, 0] * (poses[i, 0, 0] * x + poses[i, 0, 1] * y + poses[i, 0, 2] * z + poses[i, 0, 3]) / far
-            v = lenses[i, 1] * (poses[i, 1, 0] * x + poses[i, 1, 1] * y + poses[i, 1, 2] * z + poses[i, 1, 3]) / far
-            u, v = u + lenses[i, 2] - _HALF, v + lenses[i, 3] - _HALF
+            u, v = u - _HALF, v - _HALF
             depth, weight, cosine = _depth_at(depths, normals, weights, lenses, i, u, v, front)
             ahead = (depth - far) * cosine
             if not (depth > 0 and ahead >= -back):
@@ -102,55 +109,12 @@ def count_hiding(points, wanted, depths, poses, lenses, sizes, back, hidden, sho
             continue
         x, y, z = points[n, 0], points[n, 1], points[n, 2]
         for i in range(depths.shape[0]):
-            far = poses[i, 2, 0] * x + poses[i, 2, 1] * y + poses[i, 2, 2] * z + poses[i, 2, 3]
-            if not far > _NEAR:
-                continue
-            u = lenses[i, 0] * (poses[i, 0, 0] * x + poses[i, 0, 1] * y + poses[i, 0, 2] * z + poses[i, 0, 3]) / far
-            v = lenses[i, 1] * (poses[i, 1, 0] * x + poses[i, 1, 1] * y + poses[i, 1, 2] * z + poses[i, 1, 3]) / far
-            u, v = u + lenses[i, 2], v + lenses[i, 3]
-            if not (u >= 0 and v >= 0 and u < np.float32(sizes[i, 1]) and v < np.float32(sizes[i, 0])):
+            far, u, v = _projected(poses, lenses, i, x, y, z)
+            if not (far > _NEAR and u >= 0 and v >= 0 and u < np.float32(sizes[i, 1]) and v < np.float32(sizes[i, 0])):
                 continue
             depth = depths[i, np.int32(v), np.int32(u)]
             shown[n] += 1
             hidden[n] += depth > 0 and depth < far - back
-
-
-@njit(parallel=True, **_OPTIONS)
-def ask_rays(wanted, pose, lens, position, allowed, full, values, origin, cell, asked):
-    """Mark in ``asked`` [x, y, z], for each ``wanted`` pixel [h, w] of a view whose ray meets nothing ``full``, the
-    ``allowed`` cell along it with the smallest of ``values``."""
-    nx, ny, nz = full.shape
-    step = _HALF * cell
-    for row in prange(wanted.shape[0]):
-        way, low, high = np.empty(3, np.float32), np.empty(3, np.float32), np.empty(3, np.float32)
-        for k in range(3):
-            low[k], high[k] = origin[k], origin[k] + np.float32(full.shape[k]) * cell
-        for column in range(wanted.shape[1]):
-            if not wanted[row, column]:
-                continue
-            x = (np.float32(column) + _HALF - lens[2]) / lens[0]
-            y = (np.float32(row) + _HALF - lens[3]) / lens[1]
-            first, last = _NEAR, np.float32(1e9)
-            for k in range(3):
-                way[k] = pose[0, k] * x + pose[1, k] * y + pose[2, k]
-                slope = way[k] if abs(way[k]) > np.float32(1e-9) else np.float32(1e-9)
-                a, b = (low[k] - position[k]) / slope, (high[k] - position[k]) / slope
-                first, last = max(first, min(a, b)), min(last, max(a, b))
-            depth, least, best = first + _HALF * step, np.float32(np.inf), (np.int32(-1), np.int32(0), np.int32(0))
-            met = False
-            while depth < last:
-                i = np.int32((position[0] + depth * way[0] - origin[0]) / cell)
-                j = np.int32((position[1] + depth * way[1] - origin[1]) / cell)
-                k = np.int32((position[2] + depth * way[2] - origin[2]) / cell)
-                if 0 <= i < nx and 0 <= j < ny and 0 <= k < nz:
-                    if full[i, j, k]:
-                        met = True
-                        break
-                    if allowed[i, j, k] and values[i, j, k] < least:
-                        least, best = values[i, j, k], (i, j, k)
-                depth += step
-            if not met and best[0] >= 0:
-                asked[best[0], best[1], best[2]] = True
 
 
 @njit(parallel=True, **_OPTIONS)

@@ -330,37 +330,3 @@ def agree(lenses, view, others, relative, depths, normals, pixels, share, cosine
                     alike += turned * normals[other, i, j, k]
                 if alike >= cosine:
                     agreeing[row, column] += 1
-
-
-@njit(**_OPTIONS)
-def bound_depths(inside, poses, lenses, positions, view, solid, origin, cell, nearest, farthest):
-    """Fill ``nearest`` and ``farthest`` [h, w] with the depths between which a pixel's ray meets what is ``solid``, a
-    cell more on both sides; 0 where it does not, or the pixel is not inside."""
-    height, width = nearest.shape
-    size = np.array(solid.shape, np.float32) * cell
-    # In depth a step is shorter than along the ray: no cell is missed by more than its corner.
-    step = _HALF * cell
-    way = np.empty(3, np.float32)
-    for row in range(height):
-        for column in range(width):
-            nearest[row, column], farthest[row, column] = _ZERO, _ZERO
-            if not inside[view, row, column]:
-                continue
-            x = (np.float32(column) + _HALF - lenses[view, 2]) / lenses[view, 0]
-            y = (np.float32(row) + _HALF - lenses[view, 3]) / lenses[view, 1]
-            first, last = _NEAR, np.float32(1e9)
-            for k in range(3):
-                way[k] = poses[view, 0, k] * x + poses[view, 1, k] * y + poses[view, 2, k]
-                slope = way[k] if abs(way[k]) > np.float32(1e-9) else np.float32(1e-9)
-                a, b = (origin[k] - positions[view, k]) / slope, (origin[k] + size[k] - positions[view, k]) / slope
-                first, last = max(first, min(a, b)), min(last, max(a, b))
-            depth = first + _HALF * step
-            while depth < last:
-                i = np.int32((positions[view, 0] + depth * way[0] - origin[0]) / cell)
-                j = np.int32((positions[view, 1] + depth * way[1] - origin[1]) / cell)
-                k = np.int32((positions[view, 2] + depth * way[2] - origin[2]) / cell)
-                if 0 <= i < solid.shape[0] and 0 <= j < solid.shape[1] and 0 <= k < solid.shape[2] and solid[i, j, k]:
-                    if not farthest[row, column] > 0:
-                        nearest[row, column] = max(depth - cell, _NEAR)
-                    farthest[row, column] = depth + cell
-                depth += step

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
+from sculpt_framework.shape_from_images.windows import touches_border
 from sculpt_framework.types import Box, View
 
 Grey = Float[np.ndarray, "h w"]
@@ -31,10 +32,7 @@ _SPEAKING = 0.01
 
 def is_cut(view: View) -> bool:
     """Whether the object goes on beyond the border of the image."""
-    if view.alpha is None:
-        return False
-    alpha = view.alpha
-    return any(bool((side > 0.5).any()) for side in (alpha[0], alpha[-1], alpha[:, 0], alpha[:, -1]))
+    return view.alpha is not None and touches_border(view.alpha > 0.5)
 
 
 def contrast(view: View) -> tuple[float, ...]:

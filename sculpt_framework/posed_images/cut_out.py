@@ -18,7 +18,7 @@ import torch
 
 from sculpt_framework.errors import DataError
 from sculpt_framework.posed_images.box import fit_box
-from sculpt_framework.posed_images.grab_cut import Colors, Mask, Trimap, cut, masked, reduced
+from sculpt_framework.posed_images.grab_cut import LEAST, Colors, Mask, Trimap, cut, masked, reduced, strip
 from sculpt_framework.posed_images.projected_box import box_outline
 from sculpt_framework.threads import in_threads
 from sculpt_framework.types import Box, Camera, View
@@ -36,8 +36,6 @@ _SLACK = 0.08
 """By which the box is enlarged before it is projected."""
 _ENOUGH = 0.5
 """Share of the views in which something must be found for it to be taken for the object."""
-_LEAST = 0.002
-"""A mask of less than this share of the image shows nothing."""
 
 
 def cut_out(views: Sequence[View], test: Sequence[View], seed: Box) -> tuple[list[View], list[View], str]:
@@ -52,7 +50,7 @@ def cut_out(views: Sequence[View], test: Sequence[View], seed: Box) -> tuple[lis
     for _ in range(2):
         colors = _learn(bare, box)
         masks = in_threads(partial(_coarse, box=box, colors=colors), bare)
-        found = [masked(view, mask) for view, mask in zip(bare, masks, strict=True) if mask.mean() >= _LEAST]
+        found = [masked(view, mask) for view, mask in zip(bare, masks, strict=True) if mask.mean() >= LEAST]
         if not found and not given:
             raise DataError(
                 f"no object could be cut out of {len(bare)} images; put masks into a folder 'masks' beside the images, "
@@ -62,7 +60,7 @@ def cut_out(views: Sequence[View], test: Sequence[View], seed: Box) -> tuple[lis
     fine = in_threads(lambda pair: _fine(pair[0], pair[1], box, colors), list(zip(bare, masks, strict=True)))
     done = {id(view): masked(view, mask) for view, mask in zip(bare, fine, strict=True)}
     train = [done.get(id(view), view) for view in views]
-    seen = [view for view in train if view.alpha is not None and float(view.alpha.mean()) >= _LEAST]
+    seen = [view for view in train if view.alpha is not None and float(view.alpha.mean()) >= LEAST]
     if len(seen) < _ENOUGH * len(train):
         raise DataError(
             f"an object could be cut out of {len(seen)} of {len(train)} images only, which is more likely a part of "
@@ -123,14 +121,7 @@ def _fine(view: View, coarse: Mask, box: Box, colors: Colors) -> Mask:
     height, width = small.image.shape[:2]
     start = cv2.resize(coarse.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR) > 0.5
     allowed = box_outline(small.camera, box, 1 + _SLACK)
-    side = 2 * max(2, round(_BAND * max(height, width))) + 1
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
-    # The image's border is no outline: an object that is cut off there goes on.
-    inner = cv2.erode(start.astype(np.uint8), kernel, borderValue=1).astype(bool)
-    outer = cv2.dilate(start.astype(np.uint8), kernel).astype(bool) & allowed
-    trimap = np.where(start, cv2.GC_PR_FGD, cv2.GC_PR_BGD)
-    trimap = np.where(outer, trimap, cv2.GC_BGD)
-    trimap = np.where(inner & allowed, cv2.GC_FGD, trimap).astype(np.uint8)
+    trimap = strip(start, max(2, round(_BAND * max(height, width))), sure=allowed, possible=allowed)
     return cut(small.image, trimap, colors)
 
 

@@ -17,9 +17,9 @@ from scipy import ndimage
 from sculpt_framework.multi_view_stereo.depth_maps import DepthMaps, StereoOptions, depth_bounds, find_depths
 from sculpt_framework.multi_view_stereo.fusion import fuse_without_outlines
 from sculpt_framework.multi_view_stereo.stereo_views import stereo_views
-from sculpt_framework.posed_images.grab_cut import cut_along, masked
+from sculpt_framework.posed_images.grab_cut import LEAST, cut_along, masked
 from sculpt_framework.posed_images.support import Plane, find_support
-from sculpt_framework.shape_from_images.volume import Volume
+from sculpt_framework.shape_from_images.volume import Volume, whole_box
 from sculpt_framework.threads import in_threads
 from sculpt_framework.types import Box, View
 
@@ -49,8 +49,6 @@ the first where the space is known to hold the object, of which there may be mor
 _SURE, _SHOWN = 0.6, 0.8
 """Share of the masks in which what is nearest must have been seen, and of the images that must show it: else views
 agree by chance."""
-_LEAST = 0.002
-"""A mask of less than this share of the image shows nothing."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -84,7 +82,7 @@ def find_object(
     if share < _SURE:
         return f"{solid.known}, but of what they make up only {100 * share:.0f} % is seen"
     done = in_threads(lambda pair: _with_mask(*pair), list(zip(given, rough, strict=True)))
-    train = [view for view in done[: len(views)] if view.alpha is not None and float(view.alpha.mean()) >= _LEAST]
+    train = [view for view in done[: len(views)] if view.alpha is not None and float(view.alpha.mean()) >= LEAST]
     if len(train) < _SHOWN * len(views):
         return f"{solid.known}, but only {len(train)} of {len(views)} images show what they make up"
     said = f"{bare} of {len(done)} images have no mask: the object is what they agree on in depth ({solid.known})"
@@ -112,7 +110,7 @@ class _Solid:
 def _solid(views: Sequence[View], *, sure: bool, keep_support: bool) -> _Solid | str:
     """What depths show of the object, or in words why that is none. Cameras in the frame of the cube."""
     reach = min([1.0, *(_WITHIN * float(view.camera.position.norm()) for view in views)])
-    space = _space(1.0, _SPACE_CELLS)
+    space = whole_box((1.0, 1.0, 1.0), _SPACE_CELLS)
     ball = np.linalg.norm(space.points, axis=1).astype(np.float32) - np.float32(reach)
     options = StereoOptions(pixels=round(_AROUND * _PIXELS), neighbours=_NEIGHBOURS, agreeing=_AGREEING)
     maps = find_depths(views, space.holding(ball.reshape(space.shape)), options)
@@ -120,8 +118,9 @@ def _solid(views: Sequence[View], *, sure: bool, keep_support: bool) -> _Solid |
     if maps.known < _KNOWN:
         return f"only {known}: neighbouring views show little that is alike"
     points, normals = _cloud(maps)
-    support = None if keep_support else find_support(points, normals, _MORE / _AROUND)
-    volume = _space(_MORE / _AROUND, _CELLS)
+    half = _MORE / _AROUND
+    support = None if keep_support else find_support(points, normals, half)
+    volume = whole_box((half, half, half), _CELLS)
     shape, seen = fuse_without_outlines(volume, maps)
     inside = _pieces(shape, points, support)
     if inside is None:
@@ -136,11 +135,6 @@ def _cube(seed: Box) -> Box:
     """Cubic, so that one unit of its frame is the half side of the space in which depths are found."""
     half = torch.full((3,), _AROUND * seed.scale, dtype=seed.center.dtype)
     return Box(minimum=seed.center - half, maximum=seed.center + half)
-
-
-def _space(half: float, cells: int) -> Volume:
-    """All of a cube around the origin is solid."""
-    return Volume(values=np.full((cells,) * 3, -1, np.float32), origin=(-half, -half, -half), cell=2 * half / cells)
 
 
 def _cloud(maps: DepthMaps) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3"]]:

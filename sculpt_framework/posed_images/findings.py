@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from sculpt_framework.posed_images.projected_box import box_outline
+from sculpt_framework.shape_from_images.windows import touches_border
 from sculpt_framework.types import Box, Scene, View
 
 _CUT_OFF = 0.2
@@ -31,7 +32,7 @@ def findings(scene: Scene) -> list[str]:
     if not masked:
         return ["no masks: the background is learned with the object; see 'sculpt-data masks'.", *lines]
     small = [(view, _mask(view)) for view in masked]
-    cut = [view.name for view, mask in small if _touches_border(mask)]
+    cut = [view.name for view, mask in small if touches_border(mask)]
     if len(cut) > _CUT_OFF * len(masked):
         lines.append(f"{len(cut)} of {len(masked)} images cut the object off at their border ({_some(cut)}).")
     sizes = [_extent(mask) for _, mask in small]
@@ -84,10 +85,6 @@ def _mask(view: View) -> np.ndarray:
     factor = min(1.0, _SIDE / max(view.camera.width, view.camera.height))
     size = max(1, round(view.camera.width * factor)), max(1, round(view.camera.height * factor))
     return np.asarray(cv2.resize(view.alpha.numpy(), size, interpolation=cv2.INTER_AREA)) > 0.5
-
-
-def _touches_border(mask: np.ndarray) -> bool:
-    return bool(mask[0].any() or mask[-1].any() or mask[:, 0].any() or mask[:, -1].any())
 
 
 def _extent(mask: np.ndarray) -> float:

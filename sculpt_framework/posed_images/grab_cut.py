@@ -12,6 +12,8 @@ from jaxtyping import Bool, Float32, Float64, UInt8
 
 from sculpt_framework.types import Camera, View
 
+LEAST = 0.002
+"""A mask of less than this share of the image shows nothing."""
 _PIECE = 0.05
 """Pieces smaller than this share of the largest are specks."""
 _ALONG, _STRIP = 480, 0.012
@@ -44,13 +46,30 @@ def cut(image: UInt8[np.ndarray, "h w 3"], trimap: Trimap, colors: Colors) -> Ma
     open_at = (trimap == cv2.GC_PR_FGD) | (trimap == cv2.GC_PR_BGD)
     if not open_at.any():
         return trimap == cv2.GC_FGD
+    known = Colors(background=colors.background.copy(), object=colors.object.copy())
+    return without_specks(_decided(image, trimap, known, 1, cv2.GC_EVAL_FREEZE_MODEL))
+
+
+def strip(start: Mask, wide: int, *, sure: Mask, possible: Mask) -> Trimap:
+    """What may be decided within ``wide`` pixels of a mask's outline: outside of it is background, and so is what is
+    not ``possible``; inside of it is the object where that is ``sure``."""
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * wide + 1, 2 * wide + 1))
+    # The image's border is no outline: an object that is cut off there goes on.
+    inner = cv2.erode(start.astype(np.uint8), kernel, borderValue=1).astype(bool) & sure
+    outer = cv2.dilate(start.astype(np.uint8), kernel).astype(bool) & possible
+    trimap = np.where(start, cv2.GC_PR_FGD, cv2.GC_PR_BGD)
+    trimap = np.where(outer, trimap, cv2.GC_BGD)
+    return np.where(inner, cv2.GC_FGD, trimap).astype(np.uint8)
+
+
+def _decided(image: UInt8[np.ndarray, "h w 3"], trimap: Trimap, colors: Colors, rounds: int, mode: int) -> Mask:
+    """What GrabCut takes for the object; ``colors`` are changed in place."""
     window = _window(trimap != cv2.GC_BGD)
     pixels, inside = np.ascontiguousarray(image[window]), trimap[window].copy()
-    known = colors.background.copy(), colors.object.copy()
-    labels, _, _ = cv2.grabCut(pixels, inside, (0, 0, 1, 1), *known, 1, cv2.GC_EVAL_FREEZE_MODEL)
+    cv2.grabCut(pixels, inside, (0, 0, 1, 1), colors.background, colors.object, rounds, mode)
     out = np.zeros(trimap.shape, bool)
-    out[window] = (labels == cv2.GC_FGD) | (labels == cv2.GC_PR_FGD)
-    return without_specks(out)
+    out[window] = (inside == cv2.GC_FGD) | (inside == cv2.GC_PR_FGD)
+    return out
 
 
 def _window(open_at: Mask) -> tuple[slice, slice]:
@@ -109,21 +128,9 @@ def cut_along(view: View, rough: Mask, sure: Mask) -> Mask:
         for mask in (rough, sure)
     )
     wide = max(2, round(_STRIP * max(height, width)))
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * wide + 1, 2 * wide + 1))
-    # The image's border is no outline: an object that is cut off there goes on.
-    inner = cv2.erode(start.astype(np.uint8), kernel, borderValue=1).astype(bool) & seen
-    outer = cv2.dilate(start.astype(np.uint8), kernel).astype(bool)
-    if not inner.any() or outer.all():
-        return start
-    trimap = np.where(start, cv2.GC_PR_FGD, cv2.GC_PR_BGD)
-    trimap = np.where(outer, trimap, cv2.GC_BGD)
-    trimap = np.where(inner, cv2.GC_FGD, trimap).astype(np.uint8)
-    window = _window(outer)
-    pixels, inside = np.ascontiguousarray(small.image[window]), trimap[window].copy()
-    if not (inside == cv2.GC_BGD).any():
+    trimap = strip(start, wide, sure=seen, possible=np.ones_like(start))
+    if not (trimap == cv2.GC_FGD).any() or not (trimap == cv2.GC_BGD).any():
         return start
     cv2.setRNGSeed(0)
-    cv2.grabCut(pixels, inside, (0, 0, 1, 1), np.zeros((1, 65)), np.zeros((1, 65)), _LEARNED, cv2.GC_INIT_WITH_MASK)
-    out = np.zeros(trimap.shape, bool)
-    out[window] = (inside == cv2.GC_FGD) | (inside == cv2.GC_PR_FGD)
-    return out
+    learned = Colors(background=np.zeros((1, 65)), object=np.zeros((1, 65)))
+    return _decided(small.image, trimap, learned, _LEARNED, cv2.GC_INIT_WITH_MASK)

@@ -12,7 +12,7 @@ from torch import Tensor
 from sculpt_framework.cpu_kernels import kernel_cache, share_threads
 from sculpt_framework.errors import DataError
 from sculpt_framework.extractors import SdfFunction
-from sculpt_framework.shape_from_images.windows import covered_window
+from sculpt_framework.shape_from_images.windows import covered_window, touches_border
 from sculpt_framework.threads import in_threads
 from sculpt_framework.types import Camera, View
 
@@ -99,7 +99,7 @@ def _outlines(views: Sequence[tuple[Camera, Float[Tensor, "_ _"]]]) -> _Outlines
         lenses=np.stack(lenses).reshape(-1, 12).astype(np.float32),
         per_depth=np.array([1 / max(camera.fx, camera.fy) for camera, _ in views], np.float32),
         sizes=np.array([distance.shape for distance in distances], np.int64),
-        is_open=np.array([_is_open(alpha) for _, alpha in views]),
+        is_open=np.array([touches_border(alpha >= _COVERED) for _, alpha in views]),
     )
 
 
@@ -107,13 +107,9 @@ def _to_pixels(camera: Camera) -> Float64[np.ndarray, "3 3"]:
     return np.array([[camera.fx, 0, camera.cx - 0.5], [0, camera.fy, camera.cy - 0.5], [0, 0, 1]])
 
 
-def _is_open(alpha: Float[Tensor, "h w"]) -> bool:
-    return bool((torch.cat([alpha[0], alpha[-1], alpha[:, 0], alpha[:, -1]]) >= _COVERED).any())
-
-
 def _cropped(camera: Camera, alpha: Float[Tensor, "h w"]) -> tuple[Camera, Float[Tensor, "h2 w2"]]:
     """Without most of what is outside, unless the silhouette goes on beyond the image."""
-    if _is_open(alpha):
+    if touches_border(alpha >= _COVERED):
         return camera, alpha
     x, y, width, height = covered_window(alpha, _MARGIN)
     return camera.crop(x, y, width, height), alpha[y : y + height, x : x + width]

@@ -66,6 +66,14 @@ class Volume:
         return value
 
 
+def whole_box(half_sides: tuple[float, float, float], cells: int) -> Volume:
+    """All of the box around the origin is solid, in so many cells along its longest side."""
+    cell = 2 * max(half_sides) / cells
+    shape = [int(np.ceil(2 * side / cell)) for side in half_sides]
+    origin = (-0.5 * shape[0] * cell, -0.5 * shape[1] * cell, -0.5 * shape[2] * cell)
+    return Volume(values=np.full(shape, -1, np.float32), origin=origin, cell=cell)
+
+
 def sample(
     function: SdfFunction,
     half_sides: tuple[float, float, float],

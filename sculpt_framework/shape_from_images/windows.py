@@ -1,7 +1,7 @@
 """The part of an image that shows the object, and how views stand to each other."""
 
 import numpy as np
-from jaxtyping import Float, Float32, Int64
+from jaxtyping import Bool, Float, Float32, Int64
 from torch import Tensor
 
 
@@ -16,6 +16,11 @@ def covered_window(alpha: Float[Tensor, "h w"], margin: int) -> tuple[int, int, 
         spans.append((first, min(count, int(places[-1]) + 1 + margin) - first))
     (x, width), (y, height) = spans
     return x, y, width, height
+
+
+def touches_border(mask: Bool[np.ndarray | Tensor, "h w"]) -> bool:
+    """Whether any pixel of the mask lies at the border of the image: what it shows may go on beyond."""
+    return bool(mask[0].any() or mask[-1].any() or mask[:, 0].any() or mask[:, -1].any())
 
 
 def relative_poses(

@@ -1,4 +1,4 @@
-"""Memory that training takes, beside what ``engine/foresight.py`` says: ``python docs/measure_memory.py``.
+"""Memory that training takes, beside what ``sculpting/foresight.py`` says: ``python docs/measure_memory.py``.
 
 Linux only. Prints a line for every size tried, each in a process of its own, and the factors that fit best (least
 squares) how much more they take than the first one; what all have in common is there before a stage is entered.
@@ -16,9 +16,9 @@ from scipy.optimize import nnls
 
 from sculpt_framework import registry
 from sculpt_framework.config import MethodConfig
-from sculpt_framework.engine import foresight
 from sculpt_framework.engine.images import prepare_image
 from sculpt_framework.engine.pipeline import Pipeline
+from sculpt_framework.sculpting import foresight
 from sculpt_framework.stress.small import small_scene, trainer_of
 
 SIZES = ((0, 60, 1), (2, 100, 1), (2, 100, 3), (1, 500, 1), (3, 200, 1), (2, 800, 3))

@@ -126,9 +126,9 @@ def measure(request: argparse.Namespace, extra: list[str]) -> None:
     import torch
 
     from sculpt_framework.cli.train import parse
-    from sculpt_framework.engine.assembly import pick_device
     from sculpt_framework.engine.parallel import gather
     from sculpt_framework.engine.pipeline import Pipeline
+    from sculpt_framework.sculpting.assembly import pick_device
 
     config = parse([request.method, "--data", request.data, *extra])
     steps = WARM_UP_STEPS + request.steps

@@ -19,8 +19,8 @@ from typing import Any
 import torch
 
 from sculpt_framework import registry
-from sculpt_framework.engine import initial_fit
 from sculpt_framework.geometry.grid import grid_over_box
+from sculpt_framework.sculpting import initial_fit
 from sculpt_plugins.initializers.photo_hull import initializer
 
 PARTS = {

@@ -199,7 +199,9 @@ def unfinished_run(folder: Path, run: Path, seconds: float) -> Mesh:
 
 
 def with_faces(mesh: Mesh, radius: float) -> Mesh:
-    """The surface in faces that are fine enough to be spoilt."""
+    """The surface in faces that are fine enough to be spoilt; an open one keeps what faces it has."""
+    if not trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).is_watertight:
+        return mesh
     if len(mesh.faces) > FACES:
         return fewer(mesh, FACES)
     vertices, faces = trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, CELL * radius)

@@ -29,13 +29,13 @@ from jaxtyping import Float, Int64
 from torch import Tensor
 
 from sculpt_framework.cli.train import parse
-from sculpt_framework.engine.events import Event
 from sculpt_framework.engine.pipeline import Pipeline
-from sculpt_framework.extractors import SdfFunction
+from sculpt_framework.events import Event
 from sculpt_framework.geometry.band import Band
 from sculpt_framework.geometry.grid import Grid, pack, unpack_ijk
 from sculpt_framework.geometry.octree_band import OctreeBand
 from sculpt_framework.geometry.octree_policy import LevelMap
+from sculpt_framework.geometry.signed_distance import SdfFunction
 from sculpt_framework.plan.make import plan_scene
 from sculpt_plugins.extractors.flexicubes.config import FlexiCubesConfig
 from sculpt_plugins.extractors.flexicubes.extractor import FlexiCubes

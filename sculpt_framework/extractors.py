@@ -1,7 +1,7 @@
 """Slot ``extractor``: from signed distance to a closed triangle mesh, differentiably."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -9,18 +9,12 @@ from jaxtyping import Float, Int64
 from torch import Tensor
 
 from sculpt_framework.geometry.grid import Grid, RefineBox
+from sculpt_framework.geometry.signed_distance import SdfFunction
 from sculpt_framework.keyed import KeyedTable
 from sculpt_framework.types import Surface
 
 if TYPE_CHECKING:
     from sculpt_framework.geometry.octree_policy import LevelMap
-
-SdfFunction = Callable[[Tensor], Tensor]
-"""Points "n 3" of the object frame to signed distances "n", negative inside, differentiable."""
-
-
-class EmptySurfaceError(RuntimeError):
-    """The signed distance has one sign on the whole band: there is no surface to extract."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

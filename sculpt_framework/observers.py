@@ -3,8 +3,8 @@
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
-from sculpt_framework.engine.commands import Command
-from sculpt_framework.engine.events import Event
+from sculpt_framework.commands import Command
+from sculpt_framework.events import Event
 
 
 class Observer(ABC):

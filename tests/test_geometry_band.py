@@ -6,7 +6,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from sculpt_framework.extractors import EmptySurfaceError
 from sculpt_framework.geometry.band import (
     FACE_CORNERS,
     LEAST_DROP,
@@ -22,6 +21,7 @@ from sculpt_framework.geometry.band import (
     track,
 )
 from sculpt_framework.geometry.grid import Grid, grid_over_box, pack, unpack_ijk
+from sculpt_framework.geometry.signed_distance import EmptySurfaceError
 from sculpt_framework.testing import box_sdf, sphere_sdf, torus_sdf, union_sdf
 
 

@@ -16,7 +16,7 @@ from sculpt_framework.errors import ConfigError, DataError
 
 if TYPE_CHECKING:
     from sculpt_framework.evaluation.mesh import Mesh
-    from sculpt_framework.extractors import SdfFunction
+    from sculpt_framework.geometry.signed_distance import SdfFunction
     from sculpt_framework.types import Scene
 
 PROGRAM = "sculpt-bench start"
@@ -122,9 +122,9 @@ def _surface(function: "SdfFunction", scene: "Scene", cells: int) -> "Mesh":
     import numpy as np
     import torch
 
-    from sculpt_framework.engine.initial_fit import start_surface
     from sculpt_framework.evaluation.mesh import Mesh
     from sculpt_framework.geometry.grid import grid_over_box
+    from sculpt_framework.sculpting.initial_fit import start_surface
 
     device = torch.device("cpu")
     grid = grid_over_box(scene.box.half_sides, cells)

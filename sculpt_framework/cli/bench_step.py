@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from sculpt_framework.binders import Binding
-    from sculpt_framework.engine.gaussian_scene import GaussianScene
     from sculpt_framework.rasterizers import Rasterizer
+    from sculpt_framework.sculpting.gaussian_scene import GaussianScene
     from sculpt_framework.types import Surface
 
 PROGRAM = "sculpt-bench step"
@@ -105,8 +105,8 @@ def _measure(request: StepRequest, places: bool) -> StepRow:
     import torch
     from torch.profiler import ProfilerActivity, profile, record_function
 
-    from sculpt_framework.engine.gaussian_scene import assemble
     from sculpt_framework.rendering.photometric import l1_dssim
+    from sculpt_framework.sculpting.gaussian_scene import assemble
 
     scene, surface, rasterizer, constraints = _parts(request.faces)
     camera, background = bumpy_sphere_camera(request.size, torch.device("cpu")), torch.zeros(3)
@@ -166,7 +166,7 @@ def _parts(
     """The default method's binder, appearance and constraints on a bumpy sphere, and the CPU's rasteriser."""
     import torch
 
-    from sculpt_framework.engine.gaussian_scene import GaussianScene
+    from sculpt_framework.sculpting.gaussian_scene import GaussianScene
     from sculpt_framework.types import Surface
 
     device = torch.device("cpu")

@@ -17,7 +17,7 @@ from sculpt_framework.errors import CheckpointError
 from sculpt_framework.viewing.address import PORT, check_address, url
 
 if TYPE_CHECKING:
-    from sculpt_framework.engine.commands import Command
+    from sculpt_framework.commands import Command
 
 _NICE = 10
 """A viewer gives way to training."""
@@ -70,7 +70,7 @@ def view(words: Sequence[str]) -> None:
 
 def _steer(request: ViewRequest) -> None:
     """As a part of a training run: one JSON object a line to the standard output."""
-    from sculpt_framework.engine.commands import command_to_json
+    from sculpt_framework.commands import command_to_json
     from sculpt_framework.viewing.show import Show
 
     lock = threading.Lock()

@@ -5,13 +5,13 @@ from dataclasses import asdict
 from typing import Any
 
 from sculpt_framework.config import MethodConfig, TrainerConfig
-from sculpt_framework.engine.assembly import Parts
 from sculpt_framework.engine.inputs import input_digests
 from sculpt_framework.engine.measuring import resident_megabytes
-from sculpt_framework.engine.trainer import BiLevelTrainer, StepReport
 from sculpt_framework.evaluation.certificate import certify
 from sculpt_framework.evaluation.mesh import Mesh
 from sculpt_framework.geometry.grid import Grid
+from sculpt_framework.sculpting.assembly import Parts
+from sculpt_framework.sculpting.trainer import BiLevelTrainer, StepReport
 from sculpt_framework.types import Scene, Surface
 
 

@@ -9,19 +9,20 @@ import numpy as np
 import torch
 
 from sculpt_framework.config import MethodConfig
-from sculpt_framework.engine.gaussian_scene import GaussianScene
 from sculpt_framework.engine.images import prepare_image
-from sculpt_framework.engine.initial_fit import start_surface
-from sculpt_framework.engine.reconstruction import object_gaussians, world_mesh
 from sculpt_framework.evaluation.consistency import CURVE_PAIRS, CURVE_PIXELS, PosedImages
 from sculpt_framework.evaluation.geometry import MeasuredMesh
 from sculpt_framework.evaluation.images import fitted_psnr, mask_iou, psnr, ssim
 from sculpt_framework.evaluation.mesh import Mesh, load_mesh
 from sculpt_framework.evaluation.mesh_report import mesh_measures, result_measures
-from sculpt_framework.extractors import EmptySurfaceError, Extractor, SdfFunction
+from sculpt_framework.extractors import Extractor
+from sculpt_framework.geometry.signed_distance import EmptySurfaceError, SdfFunction
 from sculpt_framework.losses import TrainingImage
 from sculpt_framework.memory import peak_bytes
 from sculpt_framework.rasterizers import Rasterizer
+from sculpt_framework.sculpting.gaussian_scene import GaussianScene
+from sculpt_framework.sculpting.initial_fit import start_surface
+from sculpt_framework.sculpting.reconstruction import object_gaussians, world_mesh
 from sculpt_framework.types import Gaussians, Scene, Surface, View
 
 _CURVE_SAMPLES, _RESULT_SAMPLES = 20_000, 200_000

@@ -14,8 +14,8 @@ import torch
 from jaxtyping import Int64
 from torch import Tensor
 
+from sculpt_framework.commands import Command, ExportMesh, TakeSnapshot, command_from_json, command_to_json
 from sculpt_framework.config import MethodConfig
-from sculpt_framework.engine.commands import Command, ExportMesh, TakeSnapshot, command_from_json, command_to_json
 from sculpt_framework.errors import TrainingFailed
 
 Value = TypeVar("Value")

@@ -10,28 +10,29 @@ from torch import Tensor
 
 from sculpt_framework.config import MethodConfig, StageConfig
 from sculpt_framework.cpu_kernels import CompileSeconds
-from sculpt_framework.engine import announcements, assembly, foresight
-from sculpt_framework.engine.assembly import Parts
+from sculpt_framework.engine import announcements
 from sculpt_framework.engine.clock import TrainingClock, process_start
-from sculpt_framework.engine.events import Event, EventName
-from sculpt_framework.engine.idle_bands import spare_bands
 from sculpt_framework.engine.images import pixel_footprint, prepare_image, prepare_images
-from sculpt_framework.engine.initial_fit import fit_to_views
 from sculpt_framework.engine.measuring import Yardstick, resident_megabytes
 from sculpt_framework.engine.milestones import Milestones
 from sculpt_framework.engine.parallel import Alone, Processes, ProcessLost
-from sculpt_framework.engine.polish import polish
-from sculpt_framework.engine.reconstruction import Reconstruction, reconstruct
 from sculpt_framework.engine.schedule import Pace, Schedule
-from sculpt_framework.engine.silhouettes_first import shape_by_silhouettes
-from sculpt_framework.engine.state import Progress, capture, restore, split_best, with_best
-from sculpt_framework.engine.trainer import BiLevelTrainer
 from sculpt_framework.engine.view_pictures import Album
 from sculpt_framework.errors import CheckpointError, TrainingFailed
 from sculpt_framework.evaluation.pictures import Picture
-from sculpt_framework.extractors import EmptySurfaceError, SdfFunction
+from sculpt_framework.events import Event, EventName
 from sculpt_framework.geometry.grid import RefineBox
+from sculpt_framework.geometry.signed_distance import EmptySurfaceError, SdfFunction
 from sculpt_framework.losses import TrainingImage
+from sculpt_framework.sculpting import assembly, foresight
+from sculpt_framework.sculpting.assembly import Parts
+from sculpt_framework.sculpting.idle_bands import spare_bands
+from sculpt_framework.sculpting.initial_fit import fit_to_views
+from sculpt_framework.sculpting.polish import polish
+from sculpt_framework.sculpting.reconstruction import Reconstruction, reconstruct
+from sculpt_framework.sculpting.silhouettes_first import shape_by_silhouettes
+from sculpt_framework.sculpting.state import Progress, capture, restore, split_best, with_best
+from sculpt_framework.sculpting.trainer import BiLevelTrainer
 from sculpt_framework.types import Scene, Surface
 
 _RECOVERIES_AT_MOST = 3

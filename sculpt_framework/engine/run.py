@@ -16,29 +16,29 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from sculpt_framework.commands import Recorded, read_recorded
 from sculpt_framework.config import MethodConfig
-from sculpt_framework.engine.assembly import pick_device
 from sculpt_framework.engine.checkpoint import read_checkpoint, write_checkpoint
-from sculpt_framework.engine.commands import Recorded, read_recorded
-from sculpt_framework.engine.events import Event
 from sculpt_framework.engine.images import prepare_image
 from sculpt_framework.engine.measuring import image_measures
 from sculpt_framework.engine.output import prepare_output
 from sculpt_framework.engine.parallel import Processes, gather, shared_commands, with_batch
 from sculpt_framework.engine.pipeline import Pipeline
-from sculpt_framework.engine.reconstruction import Reconstruction
-from sculpt_framework.engine.repair import repair_start
-from sculpt_framework.engine.state import Progress
 from sculpt_framework.engine.steering import Steering
 from sculpt_framework.engine.view_pictures import RESULT, image_picture, view_pictures
 from sculpt_framework.errors import CheckpointError, SculptError, TrainingFailed
 from sculpt_framework.evaluation.pictures import Picture
 from sculpt_framework.evaluation.report import write_report
+from sculpt_framework.events import Event
 from sculpt_framework.export.atomic import cannot_write, remove_partial_files, write_atomically
 from sculpt_framework.export.gaussian_files import read_gaussians_ply, write_gaussians_ply
 from sculpt_framework.export.mesh_files import write_mesh_glb, write_mesh_ply
 from sculpt_framework.observers import Observer, SteeringObserver
 from sculpt_framework.plan.decision import ScenePlan, write_plan
+from sculpt_framework.sculpting.assembly import pick_device
+from sculpt_framework.sculpting.reconstruction import Reconstruction
+from sculpt_framework.sculpting.repair import repair_start
+from sculpt_framework.sculpting.state import Progress
 from sculpt_framework.serialization import config_from_json, config_to_json
 from sculpt_framework.types import Gaussians, Scene
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import torch
 
-from sculpt_framework.engine.commands import (
+from sculpt_framework.commands import (
     LASTING,
     AddBox,
     ClearBoxes,
@@ -24,14 +24,14 @@ from sculpt_framework.engine.commands import (
     TakeSnapshot,
     command_to_json,
 )
-from sculpt_framework.engine.events import Event, EventName
 from sculpt_framework.engine.pipeline import Pipeline
-from sculpt_framework.engine.regions import Region, freeze, read_frozen, write_frozen
-from sculpt_framework.engine.snapshot import take_snapshot
-from sculpt_framework.engine.trainer import Objectives
 from sculpt_framework.errors import ConfigError, SculptError
+from sculpt_framework.events import Event, EventName
 from sculpt_framework.export.mesh_files import write_mesh_glb, write_mesh_ply
 from sculpt_framework.geometry.grid import RefineBox
+from sculpt_framework.sculpting.regions import Region, freeze, read_frozen, write_frozen
+from sculpt_framework.sculpting.snapshot import take_snapshot
+from sculpt_framework.sculpting.trainer import Objectives
 
 _PAUSE_POLL_SECONDS = 0.05
 _SNAPSHOT_SHARE = 0.005

@@ -7,8 +7,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sculpt_framework.engine.gaussian_scene import GaussianScene
-from sculpt_framework.engine.reconstruction import face_centers, object_gaussians
 from sculpt_framework.evaluation.geometry import MeasuredMesh
 from sculpt_framework.evaluation.pictures import (
     Picture,
@@ -19,6 +17,8 @@ from sculpt_framework.evaluation.pictures import (
 )
 from sculpt_framework.losses import TrainingImage
 from sculpt_framework.rasterizers import Rasterizer
+from sculpt_framework.sculpting.gaussian_scene import GaussianScene
+from sculpt_framework.sculpting.reconstruction import face_centers, object_gaussians
 from sculpt_framework.types import Box, Gaussians, Surface
 
 RESULT = "Result"

@@ -15,9 +15,9 @@ import torch
 from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
-from sculpt_framework.extractors import EmptySurfaceError, SdfFunction
 from sculpt_framework.geometry.grid import AXIS_BITS, PART_BITS, PRIMITIVE_BITS, Grid, pack, unpack_ijk
 from sculpt_framework.geometry.keys import find, merging
+from sculpt_framework.geometry.signed_distance import EmptySurfaceError, SdfFunction
 
 CornerSampler = Callable[[Tensor], tuple[Tensor, Tensor]]
 """Keys "m" of grid corners to their positions "m 3" (a deformation may have moved them) and signed distances "m"."""

@@ -13,7 +13,6 @@ import torch
 from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
-from sculpt_framework.extractors import EmptySurfaceError
 from sculpt_framework.geometry.band import (
     FACE_CORNERS,
     WALL_SDF,
@@ -46,6 +45,7 @@ from sculpt_framework.geometry.octree import (
     tree_around,
     vertex_level,
 )
+from sculpt_framework.geometry.signed_distance import EmptySurfaceError
 
 
 def face_lattice(face: int) -> list[list[int]]:

@@ -17,12 +17,12 @@ import torch
 from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
-from sculpt_framework.extractors import SdfFunction
 from sculpt_framework.geometry.band import CornerSampler, corner_offsets, levels_of
 from sculpt_framework.geometry.grid import Grid, RefineBox, pack, unpack_ijk
 from sculpt_framework.geometry.keys import find
 from sculpt_framework.geometry.octree import WantedLevels, key_steps, vertex_level
 from sculpt_framework.geometry.octree_policy import coarsen, reached_along
+from sculpt_framework.geometry.signed_distance import SdfFunction
 from sculpt_framework.keyed import KeyedTable
 
 CORNERS, CELLS = "held_corners", "held_cells"

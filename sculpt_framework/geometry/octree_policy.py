@@ -15,10 +15,10 @@ import torch
 from jaxtyping import Bool, Float64, Int64
 from torch import Tensor
 
-from sculpt_framework.extractors import SdfFunction
 from sculpt_framework.geometry.band import children, levels_of, parents
 from sculpt_framework.geometry.grid import Grid, RefineBox, unpack_ijk
 from sculpt_framework.geometry.octree import WantedLevels, vertex_level
+from sculpt_framework.geometry.signed_distance import SdfFunction
 from sculpt_framework.types import Camera
 
 

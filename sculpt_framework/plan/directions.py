@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional
 
-from sculpt_framework.extractors import SdfFunction
+from sculpt_framework.geometry.signed_distance import SdfFunction
 from sculpt_framework.shape_from_images.hull import visual_hull
 from sculpt_framework.shape_from_images.volume import Volume, sample
 from sculpt_framework.threads import in_threads

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from sculpt_framework.cpu_kernels import kernel_cache, share_threads
 from sculpt_framework.errors import DataError
-from sculpt_framework.extractors import SdfFunction
+from sculpt_framework.geometry.signed_distance import SdfFunction
 from sculpt_framework.shape_from_images.windows import covered_window, touches_border
 from sculpt_framework.threads import in_threads
 from sculpt_framework.types import Camera, View

@@ -10,7 +10,7 @@ from scipy import ndimage
 from torch import Tensor
 from torch.nn import functional
 
-from sculpt_framework.extractors import SdfFunction
+from sculpt_framework.geometry.signed_distance import SdfFunction
 
 _CHUNK = 1 << 17
 

@@ -12,11 +12,11 @@ from sculpt_framework import registry
 from sculpt_framework.appearances import bands
 from sculpt_framework.config import FieldConfig, MethodConfig
 from sculpt_framework.demo_scenes.cameras import demo_cameras
-from sculpt_framework.engine.gaussian_scene import assemble
 from sculpt_framework.fields import Field
 from sculpt_framework.geometry.band import discover
 from sculpt_framework.geometry.grid import Grid, grid_over_box
 from sculpt_framework.losses import ImageLoss, Target, ViewsLoss
+from sculpt_framework.sculpting.gaussian_scene import assemble
 from sculpt_framework.stress.cases import Case, Measured
 from sculpt_framework.stress.precision import default_type, relative
 from sculpt_framework.stress.splats import rasterizer

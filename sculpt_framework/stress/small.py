@@ -12,14 +12,14 @@ from sculpt_framework.demo_scenes.cameras import demo_cameras
 from sculpt_framework.demo_scenes.objects import DemoObject, demo_object
 from sculpt_framework.demo_scenes.reference import reference_mesh
 from sculpt_framework.demo_scenes.tracing import render
-from sculpt_framework.engine.events import Event
 from sculpt_framework.engine.pipeline import Pipeline
-from sculpt_framework.engine.reconstruction import Reconstruction
-from sculpt_framework.engine.trainer import BiLevelTrainer
 from sculpt_framework.evaluation.certificate import certify
 from sculpt_framework.evaluation.geometry import MeasuredMesh
 from sculpt_framework.evaluation.mesh import Mesh
 from sculpt_framework.evaluation.mesh_report import mesh_measures
+from sculpt_framework.events import Event
+from sculpt_framework.sculpting.reconstruction import Reconstruction
+from sculpt_framework.sculpting.trainer import BiLevelTrainer
 from sculpt_framework.types import Box, Camera, Scene, View
 
 PIXELS, VIEWS = 48, 12

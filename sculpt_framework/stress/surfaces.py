@@ -11,9 +11,9 @@ from torch import Tensor
 
 from sculpt_framework import registry
 from sculpt_framework.config import ExtractorConfig, FieldConfig
-from sculpt_framework.extractors import SdfFunction
 from sculpt_framework.geometry.band import LEAST_DROP, crossing_weight, discover
 from sculpt_framework.geometry.grid import grid_over_box
+from sculpt_framework.geometry.signed_distance import SdfFunction
 from sculpt_framework.rendering.photometric import l1_dssim
 from sculpt_framework.rendering.spherical_harmonics import sh_to_rgb
 from sculpt_framework.stress.cases import Case, Measured

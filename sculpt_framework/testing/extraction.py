@@ -9,9 +9,10 @@ from torch import Tensor
 from sculpt_framework.config import (
     ExtractorConfig,
 )
-from sculpt_framework.extractors import EmptySurfaceError, Extraction, SdfFunction
+from sculpt_framework.extractors import Extraction
 from sculpt_framework.geometry.band import children, discover
 from sculpt_framework.geometry.grid import Grid, grid_over_box
+from sculpt_framework.geometry.signed_distance import EmptySurfaceError, SdfFunction
 from sculpt_framework.geometry.topology import (
     boundary_edges,
     components,

@@ -4,8 +4,8 @@ import math
 
 import torch
 
-from sculpt_framework.engine.snapshot import Snapshot
 from sculpt_framework.geometry.grid import Grid, pack
+from sculpt_framework.sculpting.snapshot import Snapshot
 from sculpt_framework.types import Box, Gaussians, Surface
 
 

@@ -10,13 +10,13 @@ from torch import Tensor
 
 from sculpt_framework.config import BinderConfig, ExtractorConfig
 from sculpt_framework.demo_scenes.cameras import demo_cameras
-from sculpt_framework.engine.gaussian_scene import assemble
 from sculpt_framework.evaluation.mesh import Mesh
 from sculpt_framework.evaluation.splat_outline import outline_offsets
-from sculpt_framework.extractors import SdfFunction
 from sculpt_framework.geometry.band import discover
 from sculpt_framework.geometry.grid import grid_over_box
+from sculpt_framework.geometry.signed_distance import SdfFunction
 from sculpt_framework.rasterizers import Rasterizer
+from sculpt_framework.sculpting.gaussian_scene import assemble
 from sculpt_framework.testing.extraction import box_sdf, sphere_sdf, torus_sdf
 from sculpt_framework.types import Camera, Gaussians, Surface
 

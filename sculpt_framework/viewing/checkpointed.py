@@ -5,12 +5,12 @@ from pathlib import Path
 import torch
 
 from sculpt_framework.config import MethodConfig
-from sculpt_framework.engine.assembly import build_parts
 from sculpt_framework.engine.checkpoint import read_checkpoint
 from sculpt_framework.engine.run import CHECKPOINTS
-from sculpt_framework.engine.snapshot import take_snapshot
-from sculpt_framework.engine.state import restore, split_best
 from sculpt_framework.errors import CheckpointError
+from sculpt_framework.sculpting.assembly import build_parts
+from sculpt_framework.sculpting.snapshot import take_snapshot
+from sculpt_framework.sculpting.state import restore, split_best
 from sculpt_framework.viewing.frames import Frame, frame_of
 
 

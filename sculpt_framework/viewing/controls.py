@@ -5,8 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import viser
 
-from sculpt_framework.config import MethodConfig
-from sculpt_framework.engine.commands import (
+from sculpt_framework.commands import (
     AddBox,
     ClearBoxes,
     Command,
@@ -18,6 +17,7 @@ from sculpt_framework.engine.commands import (
     Stop,
     SwitchConstraint,
 )
+from sculpt_framework.config import MethodConfig
 from sculpt_framework.registry import name_of
 from sculpt_framework.viewing.layers import show_box
 from sculpt_framework.viewing.stage import Stage

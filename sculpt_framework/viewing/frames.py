@@ -16,12 +16,12 @@ import torch
 from jaxtyping import Float, Int64
 from torch import Tensor
 
-from sculpt_framework.engine.reconstruction import in_world
-from sculpt_framework.engine.snapshot import Snapshot
 from sculpt_framework.errors import CheckpointError
 from sculpt_framework.export.atomic import write_atomically
 from sculpt_framework.geometry.band import levels_of
 from sculpt_framework.geometry.grid import Grid, unpack_ijk
+from sculpt_framework.sculpting.reconstruction import in_world
+from sculpt_framework.sculpting.snapshot import Snapshot
 from sculpt_framework.types import Box, Gaussians, Surface
 
 FOLDER = "evolution"

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import viser
 
-from sculpt_framework.engine.commands import Command
+from sculpt_framework.commands import Command
 from sculpt_framework.errors import SculptError
 from sculpt_framework.types import Scene
 from sculpt_framework.viewing.controls import Controls

@@ -9,8 +9,8 @@ from layouts import WRITERS, make_shots
 
 from sculpt_framework.config import MethodConfig, StageConfig
 from sculpt_framework.engine.pipeline import Pipeline
-from sculpt_framework.engine.reconstruction import Reconstruction
 from sculpt_framework.evaluation.geometry import chamfer
+from sculpt_framework.sculpting.reconstruction import Reconstruction
 from sculpt_methods.sculpting import gaussian_sculpting_tiny
 from sculpt_plugins.datasets.auto.config import AutoDatasetConfig
 

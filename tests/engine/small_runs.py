@@ -6,13 +6,13 @@ import torch
 
 from sculpt_framework import registry
 from sculpt_framework.config import MethodConfig, StageConfig
-from sculpt_framework.engine.assembly import Parts, build_parts
-from sculpt_framework.engine.events import Event
 from sculpt_framework.engine.images import prepare_image
 from sculpt_framework.engine.pipeline import Pipeline
-from sculpt_framework.engine.reconstruction import Reconstruction
+from sculpt_framework.events import Event
 from sculpt_framework.geometry.band import discover
 from sculpt_framework.losses import TrainingImage
+from sculpt_framework.sculpting.assembly import Parts, build_parts
+from sculpt_framework.sculpting.reconstruction import Reconstruction
 from sculpt_framework.types import Scene
 from sculpt_plugins.appearances.color_field.config import ColorFieldConfig
 from sculpt_plugins.fields.dense_grid.config import DenseGridFieldConfig

@@ -9,14 +9,14 @@ import torch
 from small_runs import TWO_STAGES, small_config
 
 from sculpt_framework import memory
-from sculpt_framework.engine import foresight
-from sculpt_framework.engine.events import Event
 from sculpt_framework.engine.images import prepare_image
 from sculpt_framework.engine.pipeline import Pipeline
 from sculpt_framework.errors import DataError, TrainingFailed
 from sculpt_framework.evaluation.certificate import certify
+from sculpt_framework.events import Event
 from sculpt_framework.geometry.band import cells_at_level, discover
 from sculpt_framework.memory import available_bytes, in_words, peak_bytes
+from sculpt_framework.sculpting import foresight
 from sculpt_framework.types import Scene
 from sculpt_plugins.datasets.blender.config import BlenderConfig
 

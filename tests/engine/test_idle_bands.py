@@ -8,10 +8,10 @@ from torch import Tensor
 
 from sculpt_framework.appearances import bands
 from sculpt_framework.config import AppearanceConfig, MethodConfig
-from sculpt_framework.engine.events import Event
 from sculpt_framework.engine.measuring import Yardstick
 from sculpt_framework.engine.pipeline import Pipeline
-from sculpt_framework.engine.state import Progress
+from sculpt_framework.events import Event
+from sculpt_framework.sculpting.state import Progress
 from sculpt_framework.types import Gaussians, Scene
 from sculpt_plugins.appearances.color_field.config import ColorFieldConfig
 from sculpt_plugins.appearances.per_gaussian.config import PerGaussianConfig

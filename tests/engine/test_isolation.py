@@ -8,9 +8,9 @@ import torch
 from small_runs import ONE_STAGE, on_a_sphere, small_config
 from torch import Tensor
 
-from sculpt_framework.engine.assembly import Parts
-from sculpt_framework.engine.gaussian_scene import assemble
 from sculpt_framework.losses import TrainingImage
+from sculpt_framework.sculpting.assembly import Parts
+from sculpt_framework.sculpting.gaussian_scene import assemble
 from sculpt_framework.types import Scene, Surface
 from sculpt_plugins.extractors.flexicubes.config import FlexiCubesConfig
 

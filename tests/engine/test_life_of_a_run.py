@@ -22,19 +22,19 @@ from sculpt_framework.cli.data import write_masks
 from sculpt_framework.config import MethodConfig
 from sculpt_framework.engine import steering as steering_module
 from sculpt_framework.engine.checkpoint import read_checkpoint, write_checkpoint
-from sculpt_framework.engine.events import Event
 from sculpt_framework.engine.measuring import Yardstick
 from sculpt_framework.engine.milestones import Milestones
 from sculpt_framework.engine.pipeline import Pipeline
 from sculpt_framework.engine.run import load_finished, run, run_status
-from sculpt_framework.engine.state import Progress
 from sculpt_framework.engine.steering import Steering
-from sculpt_framework.engine.trainer import BiLevelTrainer
 from sculpt_framework.errors import CheckpointError, OutputError, TrainingFailed
 from sculpt_framework.evaluation.certificate import certify
 from sculpt_framework.evaluation.curve import read_curve
 from sculpt_framework.evaluation.mesh import load_mesh
+from sculpt_framework.events import Event
 from sculpt_framework.export import atomic
+from sculpt_framework.sculpting.state import Progress
+from sculpt_framework.sculpting.trainer import BiLevelTrainer
 from sculpt_framework.types import Scene
 from sculpt_framework.viewing.run_folder import RunFolder
 from sculpt_plugins.appearances.per_gaussian.config import PerGaussianConfig
@@ -328,7 +328,7 @@ def test_repeated_failure_ends_with_the_best_mesh_so_far(config: MethodConfig, m
 
 
 def test_a_failure_before_any_surface_has_nothing_to_save(config: MethodConfig, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("sculpt_framework.engine.initial_fit.fit_field", poisoned_fit)
+    monkeypatch.setattr("sculpt_framework.sculpting.initial_fit.fit_field", poisoned_fit)
     with pytest.raises(TrainingFailed, match="after 0 outer steps"):
         run(config, resume=None, started=0.0)
     assert config.output is not None

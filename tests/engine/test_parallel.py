@@ -130,7 +130,7 @@ class _Several(Alone):
 
 
 def test_commands_of_the_first_reach_all(monkeypatch: pytest.MonkeyPatch):
-    from sculpt_framework.engine.commands import ExportMesh, SetRate, Stop
+    from sculpt_framework.commands import ExportMesh, SetRate, Stop
 
     commands = [SetRate(part="surface", factor=0.5), ExportMesh(), Stop()]
     (take,) = shared_commands([lambda: commands], _Several())

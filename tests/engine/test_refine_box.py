@@ -9,14 +9,15 @@ from small_runs import TWO_STAGES, small_config, train
 
 from sculpt_framework.cli.train import parse
 from sculpt_framework.config import MethodConfig
-from sculpt_framework.engine.assembly import build_parts
-from sculpt_framework.engine.gaussian_scene import _nearest_faces
-from sculpt_framework.engine.state import capture, restore
 from sculpt_framework.errors import ConfigError
 from sculpt_framework.evaluation.certificate import certify
-from sculpt_framework.extractors import Extraction, Extractor, SdfFunction
+from sculpt_framework.extractors import Extraction, Extractor
 from sculpt_framework.geometry.band import discover, levels_of
 from sculpt_framework.geometry.grid import Grid, pack
+from sculpt_framework.geometry.signed_distance import SdfFunction
+from sculpt_framework.sculpting.assembly import build_parts
+from sculpt_framework.sculpting.gaussian_scene import _nearest_faces
+from sculpt_framework.sculpting.state import capture, restore
 from sculpt_framework.serialization import config_from_json, config_to_json
 from sculpt_framework.types import Scene
 from sculpt_plugins.extractors.flexicubes.config import FlexiCubesConfig

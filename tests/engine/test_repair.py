@@ -18,15 +18,15 @@ from sculpt_framework.demo_scenes.folder import DemoSettings, write_scene
 from sculpt_framework.demo_scenes.objects import DemoObject
 from sculpt_framework.demo_scenes.texture import SolidTexture
 from sculpt_framework.engine.checkpoint import read_checkpoint, write_checkpoint
-from sculpt_framework.engine.events import Event
 from sculpt_framework.engine.pipeline import Pipeline
-from sculpt_framework.engine.repair import repair_start
 from sculpt_framework.engine.run import CHECKPOINTS, read_config, run
-from sculpt_framework.engine.state import Progress
 from sculpt_framework.errors import CheckpointError, ConfigError
 from sculpt_framework.evaluation.certificate import certify
 from sculpt_framework.evaluation.geometry import MeasuredMesh, sample_surface
 from sculpt_framework.evaluation.mesh import Mesh, load_mesh
+from sculpt_framework.events import Event
+from sculpt_framework.sculpting.repair import repair_start
+from sculpt_framework.sculpting.state import Progress
 from sculpt_framework.types import Scene
 from sculpt_plugins.datasets.blender.config import BlenderConfig
 from sculpt_plugins.extractors.flexicubes.config import FlexiCubesConfig

@@ -9,11 +9,11 @@ import pytest
 from small_runs import ONE_STAGE, TWO_STAGES, small_config
 
 from sculpt_framework.config import StageConfig
-from sculpt_framework.engine.assembly import split_views
 from sculpt_framework.engine.clock import TrainingClock, process_start
 from sculpt_framework.engine.measuring import some_views
 from sculpt_framework.engine.milestones import Milestones
 from sculpt_framework.engine.schedule import Schedule
+from sculpt_framework.sculpting.assembly import split_views
 from sculpt_framework.types import Scene
 
 

@@ -7,11 +7,11 @@ import pytest
 import torch
 from small_runs import TWO_STAGES, Outcome, small_config, train
 
-from sculpt_framework.engine import silhouettes_first
-from sculpt_framework.engine.events import Event
 from sculpt_framework.engine.pipeline import Pipeline
 from sculpt_framework.errors import TrainingFailed
-from sculpt_framework.extractors import EmptySurfaceError
+from sculpt_framework.events import Event
+from sculpt_framework.geometry.signed_distance import EmptySurfaceError
+from sculpt_framework.sculpting import silhouettes_first
 from sculpt_framework.types import Scene
 from sculpt_plugins.initializers.sphere.config import SphereConfig
 from sculpt_plugins.losses.silhouette.config import SilhouetteConfig

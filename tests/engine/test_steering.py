@@ -11,8 +11,7 @@ import pytest
 import torch
 from small_runs import ONE_STAGE, small_config
 
-from sculpt_framework.config import MethodConfig
-from sculpt_framework.engine.commands import (
+from sculpt_framework.commands import (
     AddBox,
     ClearBoxes,
     Command,
@@ -29,15 +28,16 @@ from sculpt_framework.engine.commands import (
     command_to_json,
     read_recorded,
 )
-from sculpt_framework.engine.events import Event
+from sculpt_framework.config import MethodConfig
 from sculpt_framework.engine.pipeline import Pipeline
-from sculpt_framework.engine.reconstruction import Reconstruction
-from sculpt_framework.engine.regions import Region, untaught
 from sculpt_framework.engine.steering import Steering
 from sculpt_framework.errors import ConfigError
 from sculpt_framework.evaluation.certificate import certify
 from sculpt_framework.evaluation.geometry import MeasuredMesh
+from sculpt_framework.events import Event
 from sculpt_framework.export.mesh_files import read_colored_mesh
+from sculpt_framework.sculpting.reconstruction import Reconstruction
+from sculpt_framework.sculpting.regions import Region, untaught
 from sculpt_framework.types import Scene
 from sculpt_plugins.observers.recorder.observer import event_line
 

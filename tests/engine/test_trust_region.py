@@ -9,10 +9,10 @@ import torch
 from small_runs import FIELDS, small_config, train
 from torch import Tensor, nn
 
-from sculpt_framework.engine.trust_region import TrustRegion, motion, probed
 from sculpt_framework.extractors import Extraction
 from sculpt_framework.geometry.band import discover
 from sculpt_framework.geometry.grid import grid_over_box
+from sculpt_framework.sculpting.trust_region import TrustRegion, motion, probed
 from sculpt_framework.types import Scene
 from sculpt_plugins.extractors.flexicubes.config import FlexiCubesConfig
 

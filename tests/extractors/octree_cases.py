@@ -7,10 +7,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from sculpt_framework.extractors import SdfFunction
 from sculpt_framework.geometry.band import WALL_SDF, CornerSampler, cells_at_level, levels_of
 from sculpt_framework.geometry.grid import Grid, pack, unpack_ijk
 from sculpt_framework.geometry.octree import Octree, balanced, leaves, split, tree_around, vertex_level
+from sculpt_framework.geometry.signed_distance import SdfFunction
 from sculpt_framework.testing import box_sdf, sphere_sdf, torus_sdf, union_sdf
 
 NOTHING = torch.empty(0, dtype=torch.int64)

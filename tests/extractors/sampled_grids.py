@@ -3,8 +3,8 @@
 import torch
 from torch import Tensor
 
-from sculpt_framework.extractors import SdfFunction
 from sculpt_framework.geometry.grid import Grid, pack
+from sculpt_framework.geometry.signed_distance import SdfFunction
 
 
 def unit_grid(shape: tuple[int, int, int]) -> Grid:

@@ -6,9 +6,9 @@ import pytest
 import torch
 
 from sculpt_framework.config import ExtractorConfig
-from sculpt_framework.extractors import EmptySurfaceError
 from sculpt_framework.geometry.band import children, discover
 from sculpt_framework.geometry.grid import Grid, grid_over_box
+from sculpt_framework.geometry.signed_distance import EmptySurfaceError
 from sculpt_framework.geometry.topology import components, euler_characteristic, signed_volume
 from sculpt_framework.testing import (
     box_sdf,

@@ -7,12 +7,13 @@ import torch
 from torch import Tensor
 
 from sculpt_framework.config import ExtractorConfig
-from sculpt_framework.extractors import EmptySurfaceError, RefiningExtractor, SdfFunction
+from sculpt_framework.extractors import RefiningExtractor
 from sculpt_framework.geometry.band import cells_at_level, discover, levels_of, parents
 from sculpt_framework.geometry.grid import Grid, RefineBox, grid_over_box, pack, unpack_ijk
 from sculpt_framework.geometry.keys import find
 from sculpt_framework.geometry.octree import heirs, vertex_level
 from sculpt_framework.geometry.octree_policy import wanted_levels
+from sculpt_framework.geometry.signed_distance import EmptySurfaceError, SdfFunction
 from sculpt_framework.geometry.topology import components, euler_characteristic, signed_volume
 from sculpt_framework.keyed import KeyedTable
 from sculpt_framework.testing import box_sdf, check_extraction, kept_faces, sphere_sdf, torus_sdf

@@ -19,11 +19,11 @@ from octree_cases import (
     sampler,
 )
 
-from sculpt_framework.extractors import EmptySurfaceError, SdfFunction
 from sculpt_framework.geometry.band import levels_of
 from sculpt_framework.geometry.grid import PART_BITS, Grid, unpack_ijk
 from sculpt_framework.geometry.octree import Octree, balanced, leaves, split, vertex_level
 from sculpt_framework.geometry.octree_band import OctreeBand, track_octree
+from sculpt_framework.geometry.signed_distance import EmptySurfaceError, SdfFunction
 from sculpt_framework.geometry.topology import components, euler_characteristic, signed_volume
 from sculpt_framework.testing import check_surface, sphere_sdf, torus_sdf
 from sculpt_framework.types import Surface

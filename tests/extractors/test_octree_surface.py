@@ -8,12 +8,12 @@ import torch
 from octree_cases import FIELDS, box_grid, halves, hashed, sampler
 from torch import Tensor
 
-from sculpt_framework.extractors import EmptySurfaceError, SdfFunction
 from sculpt_framework.geometry.band import cells_at_level, discover, levels_of
 from sculpt_framework.geometry.grid import Grid, grid_over_box, unpack_ijk
 from sculpt_framework.geometry.keys import find
 from sculpt_framework.geometry.octree import balanced, leaves, split, tree_around
 from sculpt_framework.geometry.octree_band import OctreeBand, track_octree
+from sculpt_framework.geometry.signed_distance import EmptySurfaceError, SdfFunction
 from sculpt_framework.geometry.topology import signed_volume
 from sculpt_framework.testing import sphere_sdf, torus_sdf
 from sculpt_plugins.extractors.flexicubes.config import FlexiCubesConfig

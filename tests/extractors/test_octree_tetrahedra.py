@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from octree_cases import DOUBLE_TORUS, FIELDS, box_grid, halves, hashed, random_tree, sampler
 from torch import Tensor
 
-from sculpt_framework.extractors import EmptySurfaceError, SdfFunction
 from sculpt_framework.geometry.band import cells_at_level, discover, levels_of
 from sculpt_framework.geometry.grid import Grid, grid_over_box, unpack_ijk
 from sculpt_framework.geometry.octree import Octree, leaves, split, tree_around
 from sculpt_framework.geometry.octree_band import OctreeBand, track_octree
+from sculpt_framework.geometry.signed_distance import EmptySurfaceError, SdfFunction
 from sculpt_framework.geometry.topology import components, euler_characteristic, signed_volume
 from sculpt_framework.testing import check_surface, sphere_sdf, torus_sdf
 from sculpt_framework.types import Surface

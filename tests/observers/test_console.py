@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from sculpt_framework.engine.events import Event
+from sculpt_framework.events import Event
 from sculpt_plugins.observers.console.config import ConsoleConfig
 from sculpt_plugins.observers.console.observer import ConsoleObserver
 from sculpt_plugins.observers.console.wording import count, duration, memory, message_text

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from sculpt_framework.engine.events import Event
 from sculpt_framework.errors import DataError, OutputError
 from sculpt_framework.evaluation.curve import CURVE_COLUMNS, header_line, read_curve, row_line
+from sculpt_framework.events import Event
 from sculpt_plugins.observers.recorder.config import RecorderConfig
 
 COLUMNS = (

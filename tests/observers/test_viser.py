@@ -16,11 +16,11 @@ import pytest
 import torch
 
 from sculpt_framework import registry
-from sculpt_framework.engine.commands import Pause, TakeSnapshot, command_to_json
-from sculpt_framework.engine.events import Event
-from sculpt_framework.engine.snapshot import Snapshot
+from sculpt_framework.commands import Pause, TakeSnapshot, command_to_json
 from sculpt_framework.errors import ConfigError
+from sculpt_framework.events import Event
 from sculpt_framework.geometry.grid import Grid, pack
+from sculpt_framework.sculpting.snapshot import Snapshot
 from sculpt_framework.serialization import config_to_json
 from sculpt_framework.types import Box, Gaussians, Surface
 from sculpt_framework.viewing.frames import read_frame, step_files

@@ -13,16 +13,16 @@ import torch
 from sculpt_framework import registry
 from sculpt_framework.cli.train import read_request
 from sculpt_framework.config import MethodConfig, PlanConfig
-from sculpt_framework.engine.assembly import build_parts
-from sculpt_framework.engine.events import Event
 from sculpt_framework.engine.pipeline import Pipeline
-from sculpt_framework.engine.resting import Resting
 from sculpt_framework.engine.run import run
 from sculpt_framework.errors import ConfigError
+from sculpt_framework.events import Event
 from sculpt_framework.plan.decision import read_plan
 from sculpt_framework.plan.make import plan_scene
 from sculpt_framework.plan.options import with_options
 from sculpt_framework.plan.savings import savings
+from sculpt_framework.sculpting.assembly import build_parts
+from sculpt_framework.sculpting.resting import Resting
 from sculpt_framework.serialization import read_config
 from sculpt_framework.types import Scene
 from sculpt_plugins.observers.recorder.config import RecorderConfig
@@ -76,7 +76,7 @@ def test_what_is_left_out_is_not_imported(scene_folder: Path) -> None:
     script = (
         "import sys, torch\nfrom sculpt_framework.cli.train import parse\n"
         "from sculpt_framework.plan.make import plan_scene\n"
-        "from sculpt_framework.engine.assembly import build_parts\n"
+        "from sculpt_framework.sculpting.assembly import build_parts\n"
         f"config = parse(['gaussian-sculpting-tiny', '--data', {str(scene_folder)!r}, '--plan', sys.argv[1]])\n"
         "scene = config.dataset.build(config.data).load()\n"
         "config, plan = plan_scene(config, scene)\n"

@@ -7,8 +7,8 @@ from pathlib import Path
 import torch
 
 from sculpt_framework import registry
-from sculpt_framework.engine.snapshot import Snapshot
 from sculpt_framework.geometry.grid import Grid, pack
+from sculpt_framework.sculpting.snapshot import Snapshot
 from sculpt_framework.serialization import config_to_json
 from sculpt_framework.types import Box, Gaussians, Surface
 from sculpt_framework.viewing.frames import FOLDER, LIVE, step_path, write_frame

@@ -12,7 +12,7 @@ import viser._messages as messages
 from websockets.exceptions import ConnectionClosed
 
 from sculpt_framework import registry
-from sculpt_framework.engine.commands import (
+from sculpt_framework.commands import (
     AddBox,
     ClearBoxes,
     Command,

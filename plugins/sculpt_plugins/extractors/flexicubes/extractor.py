@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float, Int64
 from torch import Tensor
 
-from sculpt_framework.extractors import Extraction, RefiningExtractor, SdfFunction
+from sculpt_framework.extractors import Extraction, RefiningExtractor
 from sculpt_framework.geometry.band import Band, levels_of, track
 from sculpt_framework.geometry.grid import Grid, RefineBox, pack, unpack_ijk
 from sculpt_framework.geometry.keys import find
@@ -15,6 +15,7 @@ from sculpt_framework.geometry.octree import corner_keys, heirs, vertex_level
 from sculpt_framework.geometry.octree_band import OctreeBand, grow_octree
 from sculpt_framework.geometry.octree_hold import HeldSurface, Hold
 from sculpt_framework.geometry.octree_policy import LevelMap, coarsen, roots_under, wanted_levels
+from sculpt_framework.geometry.signed_distance import SdfFunction
 from sculpt_framework.keyed import KeyedTable
 from sculpt_plugins.extractors.flexicubes.config import FlexiCubesConfig
 from sculpt_plugins.extractors.flexicubes.surface import grid_surface, octree_surface

@@ -6,13 +6,14 @@ import torch
 from jaxtyping import Float, Int64
 from torch import Tensor
 
-from sculpt_framework.extractors import Extraction, RefiningExtractor, SdfFunction
+from sculpt_framework.extractors import Extraction, RefiningExtractor
 from sculpt_framework.geometry.band import LEAST_DROP, Band, CornerSampler, crossing_weight, levels_of, track
 from sculpt_framework.geometry.grid import Grid, RefineBox, unpack_ijk
 from sculpt_framework.geometry.octree import vertex_level
 from sculpt_framework.geometry.octree_band import OctreeBand, grow_octree
 from sculpt_framework.geometry.octree_hold import HeldSurface, Hold
 from sculpt_framework.geometry.octree_policy import LevelMap, coarsen, roots_under, wanted_levels
+from sculpt_framework.geometry.signed_distance import SdfFunction
 from sculpt_framework.keyed import KeyedTable
 from sculpt_framework.types import Surface
 from sculpt_plugins.extractors.marching_tetrahedra.octree import edge_lengths, march, split_leaves, with_centers

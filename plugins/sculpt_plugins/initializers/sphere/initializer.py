@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sculpt_framework.extractors import SdfFunction
+from sculpt_framework.geometry.signed_distance import SdfFunction
 from sculpt_framework.initializers import Initializer
 from sculpt_framework.types import View
 

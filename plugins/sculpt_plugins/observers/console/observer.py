@@ -8,7 +8,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from sculpt_framework.engine.events import Event
+from sculpt_framework.events import Event
 from sculpt_framework.observers import Observer
 from sculpt_framework.plan.table import plan_table
 from sculpt_plugins.observers.console.config import ConsoleConfig

@@ -4,9 +4,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from sculpt_framework.engine.events import Event
 from sculpt_framework.evaluation.curve import CURVE_COLUMNS, header_line, parse_curve, row_line
 from sculpt_framework.evaluation.versions import installed_versions
+from sculpt_framework.events import Event
 from sculpt_framework.export.atomic import cannot_write, write_atomically
 from sculpt_framework.export.json_text import json_text
 from sculpt_framework.observers import Observer

@@ -16,12 +16,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from sculpt_framework.engine.commands import Command, TakeSnapshot, command_from_json
-from sculpt_framework.engine.events import Event
-from sculpt_framework.engine.snapshot import Snapshot
+from sculpt_framework.commands import Command, TakeSnapshot, command_from_json
 from sculpt_framework.errors import ConfigError, SculptError
+from sculpt_framework.events import Event
 from sculpt_framework.observers import SteeringObserver
 from sculpt_framework.registry import name_of
+from sculpt_framework.sculpting.snapshot import Snapshot
 from sculpt_framework.serialization import read_config
 from sculpt_framework.viewing.frames import FOLDER, LIVE, step_path, write_frame
 from sculpt_plugins.observers.viser.config import ViserConfig

@@ -10,9 +10,9 @@ import torch
 
 from sculpt_framework.config import MethodConfig, StageConfig
 from sculpt_framework.engine.images import object_window
-from sculpt_framework.engine.trainer import BiLevelTrainer
 from sculpt_framework.errors import TrainingFailed
 from sculpt_framework.memory import available_bytes, in_words
+from sculpt_framework.sculpting.trainer import BiLevelTrainer
 from sculpt_framework.types import Box, View
 
 _PIXEL, _CELL, _GAUSSIAN = 300, 4100, 1500

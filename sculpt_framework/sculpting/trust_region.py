@@ -11,8 +11,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sculpt_framework.extractors import Extraction, SdfFunction
+from sculpt_framework.extractors import Extraction
 from sculpt_framework.geometry.band import levels_of
+from sculpt_framework.geometry.signed_distance import SdfFunction
 
 _CELLS_AT_MOST = 256
 """Of a band, evenly chosen; the quantile of the motion at their corners is known to some hundredths."""

@@ -8,9 +8,9 @@ import torch
 
 from sculpt_framework.config import TrainerConfig
 from sculpt_framework.engine.measuring import Yardstick
-from sculpt_framework.engine.reconstruction import object_gaussians
-from sculpt_framework.engine.trainer import BiLevelTrainer
 from sculpt_framework.losses import TrainingImage
+from sculpt_framework.sculpting.reconstruction import object_gaussians
+from sculpt_framework.sculpting.trainer import BiLevelTrainer
 from sculpt_framework.types import Surface
 
 CHUNK = 10

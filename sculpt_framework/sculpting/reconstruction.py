@@ -6,11 +6,11 @@ import numpy as np
 import torch
 from jaxtyping import Float, Float64, Int64
 
-from sculpt_framework.engine.gaussian_scene import GaussianScene, assemble
 from sculpt_framework.evaluation.mesh import Mesh
 from sculpt_framework.geometry.principal_axes import principal_axes
 from sculpt_framework.geometry.stray import compact, main_faces
 from sculpt_framework.rendering.spherical_harmonics import sh_to_rgb
+from sculpt_framework.sculpting.gaussian_scene import GaussianScene, assemble
 from sculpt_framework.types import Box, Gaussians, Surface
 
 

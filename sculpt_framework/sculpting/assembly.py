@@ -6,9 +6,7 @@ from dataclasses import dataclass, replace
 import torch
 
 from sculpt_framework.config import MethodConfig, TrainerConfig
-from sculpt_framework.engine.gaussian_scene import GaussianScene
 from sculpt_framework.engine.parallel import Processes
-from sculpt_framework.engine.trainer import BiLevelTrainer, Objectives, Weighted
 from sculpt_framework.errors import ConfigError, DeviceError
 from sculpt_framework.extractors import Extractor, RefiningExtractor
 from sculpt_framework.geometry.band import cells_at_level, coarsened, discover
@@ -17,6 +15,8 @@ from sculpt_framework.geometry.octree_policy import LevelMap, level_map, wanted_
 from sculpt_framework.losses import GeometryLoss, ImageLoss, TrainingImage, ViewsLoss
 from sculpt_framework.rasterizers import Rasterizer
 from sculpt_framework.registry import name_of
+from sculpt_framework.sculpting.gaussian_scene import GaussianScene
+from sculpt_framework.sculpting.trainer import BiLevelTrainer, Objectives, Weighted
 from sculpt_framework.types import Box, Scene
 
 PHOTOMETRIC, SILHOUETTE = "photometric", "silhouette"

@@ -6,9 +6,9 @@ import torch
 from jaxtyping import Int64
 from torch import Tensor
 
-from sculpt_framework.engine.reconstruction import object_gaussians
-from sculpt_framework.engine.trainer import BiLevelTrainer
 from sculpt_framework.geometry.grid import Grid
+from sculpt_framework.sculpting.reconstruction import object_gaussians
+from sculpt_framework.sculpting.trainer import BiLevelTrainer
 from sculpt_framework.types import Box, Gaussians, Surface
 
 

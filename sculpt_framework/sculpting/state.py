@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from sculpt_framework.engine.trainer import BiLevelTrainer
+from sculpt_framework.sculpting.trainer import BiLevelTrainer
 
 
 @dataclass(frozen=True, kw_only=True)

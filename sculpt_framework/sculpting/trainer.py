@@ -19,18 +19,18 @@ from sculpt_framework.adam import Adam
 from sculpt_framework.binders import Binding
 from sculpt_framework.config import StageConfig, TrainerConfig
 from sculpt_framework.constraints import Constraint
-from sculpt_framework.engine.falling import Falling
-from sculpt_framework.engine.gaussian_scene import GaussianScene, assemble
 from sculpt_framework.engine.parallel import Alone, Processes
-from sculpt_framework.engine.regions import Frozen, Region, frozen_rows, signed_distance, untaught
-from sculpt_framework.engine.resting import Resting
-from sculpt_framework.engine.still_faces import StillFaces
-from sculpt_framework.engine.trust_region import TrustRegion
-from sculpt_framework.engine.view_gradients import ViewGradients, Walk, Weighted
 from sculpt_framework.extractors import Extraction, Extractor
 from sculpt_framework.fields import Field
 from sculpt_framework.losses import GeometryLoss, ImageLoss, TrainingImage, ViewsLoss
 from sculpt_framework.rasterizers import Rasterizer
+from sculpt_framework.sculpting.falling import Falling
+from sculpt_framework.sculpting.gaussian_scene import GaussianScene, assemble
+from sculpt_framework.sculpting.regions import Frozen, Region, frozen_rows, signed_distance, untaught
+from sculpt_framework.sculpting.resting import Resting
+from sculpt_framework.sculpting.still_faces import StillFaces
+from sculpt_framework.sculpting.trust_region import TrustRegion
+from sculpt_framework.sculpting.view_gradients import ViewGradients, Walk, Weighted
 from sculpt_framework.types import Surface
 
 _COLORS = "photometric"

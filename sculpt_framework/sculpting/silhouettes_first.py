@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from typing import Any
 
 from sculpt_framework.config import MethodConfig, StageConfig
-from sculpt_framework.engine.assembly import SILHOUETTE, Parts, find_seeds, set_level
 from sculpt_framework.engine.clock import TrainingClock
 from sculpt_framework.engine.images import pixel_footprint, prepare_images
-from sculpt_framework.engine.trainer import BiLevelTrainer
 from sculpt_framework.errors import TrainingFailed
-from sculpt_framework.extractors import EmptySurfaceError
+from sculpt_framework.geometry.signed_distance import EmptySurfaceError
 from sculpt_framework.losses import TrainingImage
+from sculpt_framework.sculpting.assembly import SILHOUETTE, Parts, find_seeds, set_level
+from sculpt_framework.sculpting.trainer import BiLevelTrainer
 from sculpt_framework.types import Box, View
 
 _STEPS = 150

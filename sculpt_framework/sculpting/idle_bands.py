@@ -5,9 +5,9 @@ from typing import Any
 from sculpt_framework.appearances import bands
 from sculpt_framework.binders import Binding
 from sculpt_framework.config import TrainerConfig
-from sculpt_framework.engine.gaussian_scene import assemble
 from sculpt_framework.engine.measuring import Yardstick
-from sculpt_framework.engine.trainer import BiLevelTrainer
+from sculpt_framework.sculpting.gaussian_scene import assemble
+from sculpt_framework.sculpting.trainer import BiLevelTrainer
 
 _GAIN_DB = 0.02
 """What bands bring at least, to be worth their rows."""

@@ -11,16 +11,16 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from sculpt_framework.commands import Recorded
 from sculpt_framework.config import MethodConfig
-from sculpt_framework.engine.assembly import refine_boxes
-from sculpt_framework.engine.commands import Recorded
 from sculpt_framework.engine.pipeline import Pipeline
-from sculpt_framework.engine.reconstruction import world_mesh
-from sculpt_framework.engine.state import Progress, capture, undisturbed, with_best
 from sculpt_framework.engine.steering import Steering
 from sculpt_framework.errors import ConfigError
 from sculpt_framework.evaluation.mesh import load_mesh
 from sculpt_framework.extractors import RefiningExtractor
+from sculpt_framework.sculpting.assembly import refine_boxes
+from sculpt_framework.sculpting.reconstruction import world_mesh
+from sculpt_framework.sculpting.state import Progress, capture, undisturbed, with_best
 from sculpt_framework.types import Scene
 
 

@@ -10,8 +10,8 @@ import sys
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 
-from sculpt_framework.config import MethodConfig
 from sculpt_framework.registry import SLOTS, name_of
+from sculpt_framework.sculpting.config import SculptingConfig
 from sculpt_methods.paper import gaussian_sculpting_paper
 from sculpt_methods.sculpting import gaussian_sculpting
 
@@ -39,9 +39,11 @@ def filled(page: str) -> str:
     return page
 
 
-def value_of(config: MethodConfig, path: str) -> str:
+def value_of(config: SculptingConfig, path: str) -> str:
     """The value at ``slot.option`` (``slot.component.option`` in slots of many); a slot alone names its component."""
     slot, *rest = path.split(".")
+    if slot not in {field.name for field in fields(config)}:
+        return ABSENT
     found: object = getattr(config, slot)
     if slot in SLOTS and SLOTS[slot].many:
         found = next((part for part in getattr(config, slot) if name_of(part) == rest[0]), None)
@@ -75,7 +77,7 @@ def paper_table() -> str:
     return "| value | where it comes from |\n|---|---|\n" + "\n".join(rows) + "\n"
 
 
-def stages_table(paper: MethodConfig, default: MethodConfig) -> str:
+def stages_table(paper: SculptingConfig, default: SculptingConfig) -> str:
     rows = ["| method | share of steps | grid | images | inner steps | outer views |", "|---|---|---|---|---|---|"]
     for config in (paper, default):
         for stage in config.trainer.stages:

@@ -15,24 +15,23 @@ import torch
 from scipy.optimize import nnls
 
 from sculpt_framework import registry
-from sculpt_framework.config import MethodConfig
-from sculpt_framework.engine.images import prepare_image
-from sculpt_framework.engine.pipeline import Pipeline
+from sculpt_framework.engine.session import Session
 from sculpt_framework.sculpting import foresight
+from sculpt_framework.sculpting.config import SculptingConfig, of_sculpting
+from sculpt_framework.sculpting.images import prepare_image
 from sculpt_framework.stress.small import small_scene, trainer_of
 
 SIZES = ((0, 60, 1), (2, 100, 1), (2, 100, 3), (1, 500, 1), (3, 200, 1), (2, 800, 3))
 """Grid level, pixels along the image's side, Gaussians on a face."""
 
 
-def method(level: int, count: int) -> MethodConfig:
-    config = registry.load_method("gaussian-sculpting")()
+def method(level: int, count: int) -> SculptingConfig:
+    config = of_sculpting(registry.load_method("gaussian-sculpting")())
     (stage,) = config.trainer.stages
     stage = replace(stage, level=level, inner_steps=1, outer_views=1)
-    trainer = replace(
-        config.trainer, stages=(stage,), outer_steps=3, fit_steps=5, polish_steps=0, warm_up_steps=0, holdout_every=0
-    )
-    hull = registry.load_method("gaussian-sculpting-tiny")().initializer
+    trainer = replace(config.trainer, stages=(stage,), fit_steps=5, polish_steps=0, warm_up_steps=0)
+    config = replace(config, steps=3, holdout_every=0)
+    hull = of_sculpting(registry.load_method("gaussian-sculpting-tiny")()).initializer
     binder = replace(config.binder, gaussians_per_face=count)  # pyright: ignore[reportCallIssue]
     return replace(config, binder=binder, trainer=trainer, initializer=hull, observers=(), data="memory")
 
@@ -54,10 +53,10 @@ def measured(level: int, pixels: int, count: int) -> tuple[foresight.Sizes, int]
 
 def run(level: int, pixels: int, count: int) -> foresight.Sizes:
     scene = small_scene(pixels=pixels, views=3)
-    pipeline = Pipeline(method(level, count), scene=scene)
-    pipeline.train()
-    images = [prepare_image(view, scene.box, 1.0, pipeline.parts.device) for view in scene.train]
-    return foresight.sizes(trainer_of(pipeline), max(image.camera.width * image.camera.height for image in images))
+    session = Session(scene, method(level, count))
+    session.run()
+    images = [prepare_image(view, scene.box, 1.0, torch.device("cpu")) for view in scene.train]
+    return foresight.sizes(trainer_of(session), max(image.camera.width * image.camera.height for image in images))
 
 
 def rows() -> Iterator[tuple[foresight.Sizes, int]]:

@@ -67,7 +67,7 @@ def main() -> int:
         take_photographs(folder, options.photographs, options.width, options.height, options.background)
         size = sum(path.stat().st_size for path in (folder / "images").iterdir())
         words = [options.method, "--data", str(folder), "--output", str(Path(aside) / "run")]
-        words += ["--trainer.outer-steps", str(options.steps), *(word for word in rest if word != "--")]
+        words += ["--steps", str(options.steps), *(word for word in rest if word != "--")]
         cost = run(words, Path(aside) / "run")
     sys.stdout.write(
         f"{options.photographs} photographs of {options.width}x{options.height} before a {options.background}, "

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sculpt_framework.cli.train import parse
+from sculpt_framework.sculpting.config import of_sculpting
 
 METHOD = "gaussian-sculpting"
 
@@ -55,9 +56,9 @@ def train(request: argparse.Namespace, extra: list[str], count: int, seed: int, 
     """A run of ``count`` processes; one that is in the folder already is not made again."""
     out = folder / f"seed-{seed}-processes-{count}"
     steps = max(1, request.steps // count)
-    words = [METHOD, "--data", request.data, "--seed", str(seed), *extra, "--trainer.outer-steps", str(steps)]
+    words = [METHOD, "--data", request.data, "--seed", str(seed), *extra, "--steps", str(steps)]
     views = 0
-    for number, stage in enumerate(parse(words).trainer.stages):
+    for number, stage in enumerate(of_sculpting(parse(words)).trainer.stages):
         words += [f"--trainer.stages.{number}.outer-views", str(stage.outer_views * count)]
         words += [f"--trainer.stages.{number}.inner-steps", str(stage.inner_steps * count)]
         views = (stage.outer_views + stage.inner_steps) * count

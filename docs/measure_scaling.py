@@ -126,28 +126,30 @@ def measure(request: argparse.Namespace, extra: list[str]) -> None:
     import torch
 
     from sculpt_framework.cli.train import parse
+    from sculpt_framework.device import pick_device
     from sculpt_framework.engine.parallel import gather
-    from sculpt_framework.engine.pipeline import Pipeline
-    from sculpt_framework.sculpting.assembly import pick_device
+    from sculpt_framework.engine.session import Session
+    from sculpt_framework.sculpting.config import of_sculpting
 
-    config = parse([request.method, "--data", request.data, *extra])
+    config = of_sculpting(parse([request.method, "--data", request.data, *extra]))
     steps = WARM_UP_STEPS + request.steps
     stages = tuple(
         replace(each, inner_steps=each.inner_steps * request.times, outer_views=each.outer_views * request.times)
         for each in config.trainer.stages
     )
-    trainer = replace(config.trainer, outer_steps=steps, polish_steps=0, inner_batch=request.batch, stages=stages)
-    config = replace(config, observers=(), trainer=trainer)
+    trainer = replace(config.trainer, polish_steps=0, inner_batch=request.batch, stages=stages)
+    config = replace(config, steps=steps, observers=(), trainer=trainer)
     processes = gather(os.environ, pick_device(config.device))
     scene = processes.in_turn(lambda: config.dataset.build(config.data).load())
-    pipeline = Pipeline(config, scene=scene, processes=processes)
-    on_gpu = pipeline.parts.device.type == "cuda"
+    session = Session(scene, config, processes=processes)
+    device = pick_device(config.device)
+    on_gpu = device.type == "cuda"
     watch = Stopwatch(torch.cuda.synchronize if on_gpu else lambda: None)
     notes = {"bytes": 0, "sums": 0, "steps": 0, "seconds": 0.0}
-    watch_parts(watch, pipeline, notes)
-    pipeline.train()
-    # The pipeline has let go of the others; what is left to do is done with them.
-    per_sum = seconds_per_sum(processes, notes["bytes"] // max(1, notes["sums"]), pipeline.parts.device)
+    watch_parts(watch, session, notes)
+    session.run()
+    # The session has let go of the others; what is left to do is done with them.
+    per_sum = seconds_per_sum(processes, notes["bytes"] // max(1, notes["sums"]), device)
     if processes.leads:
         stage = config.trainer.stages[-1]
         told = {
@@ -165,13 +167,13 @@ def measure(request: argparse.Namespace, extra: list[str]) -> None:
     processes.close()
 
 
-def watch_parts(watch: Stopwatch, pipeline: Any, notes: dict[str, Any]) -> None:
-    """Have the parts of the pipeline's outer steps timed."""
+def watch_parts(watch: Stopwatch, session: Any, notes: dict[str, Any]) -> None:
+    """Have the parts of the session's outer steps timed."""
     import torch
 
     from sculpt_framework.keyed import KeyedTable
 
-    trainer = pipeline.parts.trainer
+    trainer = session.reconstructor.trainer
     for owner, name, part in (
         (trainer, "_render", "render"),
         (trainer, "extract", "extraction"),

@@ -21,6 +21,7 @@ import torch
 from sculpt_framework import registry
 from sculpt_framework.geometry.grid import grid_over_box
 from sculpt_framework.sculpting import initial_fit
+from sculpt_framework.sculpting.config import of_sculpting
 from sculpt_plugins.initializers.photo_hull import initializer
 
 PARTS = {
@@ -42,7 +43,7 @@ def main() -> None:
     chosen = options.parse_args()
     if chosen.threads is not None:
         torch.set_num_threads(chosen.threads)
-    config = registry.load_method("gaussian-sculpting")()
+    config = of_sculpting(registry.load_method("gaussian-sculpting")())
     began = time.perf_counter()
     scene = config.dataset.build(chosen.data).load()
     sys.stdout.write(f"{len(scene.train)} views loaded in {time.perf_counter() - began:.2f} s\n")

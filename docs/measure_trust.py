@@ -34,7 +34,6 @@ from skimage.measure import marching_cubes
 
 from sculpt_framework import registry
 from sculpt_framework.config import DatasetConfig, InitializerConfig
-from sculpt_framework.engine.images import in_object_frame
 from sculpt_framework.errors import DataError
 from sculpt_framework.evaluation.charts import Axis, Series, line_drawing, series_colors
 from sculpt_framework.evaluation.consistency import PosedImages
@@ -47,6 +46,7 @@ from sculpt_framework.experiments.capture_measures import radius_of
 from sculpt_framework.export.decimation import decimate
 from sculpt_framework.export.mesh_files import vertex_normals
 from sculpt_framework.export.mesh_pixels import draw_mesh
+from sculpt_framework.sculpting.images import in_object_frame
 from sculpt_framework.shape_from_images.volume import sample
 from sculpt_framework.types import Scene, View
 
@@ -199,16 +199,14 @@ def unfinished_run(folder: Path, run: Path, seconds: float) -> Mesh:
 
 
 def with_faces(mesh: Mesh, radius: float) -> Mesh:
-    """The surface in faces that are fine enough to be spoilt; an open one keeps what faces it has."""
-    if not trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).is_watertight:
-        return mesh
+    """The surface in faces that are fine enough to be spoilt, as many as that takes where it cannot be had in fewer."""
     if len(mesh.faces) > FACES:
-        return fewer(mesh, FACES)
+        return fewer_if_closed(mesh, FACES)
     vertices, faces = trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, CELL * radius)
     merged = trimesh.Trimesh(vertices, faces, process=True)
     made = Mesh(vertices=np.array(merged.vertices), faces=np.array(merged.faces, np.int64))
     # Long thin triangles are cut into far more than that.
-    return fewer(made, 3 * FACES) if len(made.faces) > 3 * FACES else made
+    return fewer_if_closed(made, 3 * FACES)
 
 
 def waves(mesh: Mesh, length: float) -> np.ndarray:
@@ -257,6 +255,14 @@ def low_passed(mesh: Mesh, cells: float) -> Mesh:
     filled = np.argwhere(solid)
     made.vertices += 0.5 * (low + high) - 0.5 * cell * (filled.min(axis=0) + filled.max(axis=0))
     return Mesh(vertices=np.array(made.vertices), faces=np.array(made.faces, np.int64))
+
+
+def fewer_if_closed(mesh: Mesh, faces: int) -> Mesh:
+    """A mesh that is not closed keeps the faces it has."""
+    try:
+        return fewer(mesh, faces) if len(mesh.faces) > faces else mesh
+    except DataError:
+        return mesh
 
 
 def fewer(mesh: Mesh, faces: int) -> Mesh:

@@ -29,7 +29,8 @@ from jaxtyping import Float, Int64
 from torch import Tensor
 
 from sculpt_framework.cli.train import parse
-from sculpt_framework.engine.pipeline import Pipeline
+from sculpt_framework.device import pick_device
+from sculpt_framework.engine.session import Session
 from sculpt_framework.events import Event
 from sculpt_framework.geometry.band import Band
 from sculpt_framework.geometry.grid import Grid, pack, unpack_ijk
@@ -37,6 +38,8 @@ from sculpt_framework.geometry.octree_band import OctreeBand
 from sculpt_framework.geometry.octree_policy import LevelMap
 from sculpt_framework.geometry.signed_distance import SdfFunction
 from sculpt_framework.plan.make import plan_scene
+from sculpt_framework.sculpting.config import PlanConfig, of_sculpting
+from sculpt_framework.stress.small import trainer_of
 from sculpt_plugins.extractors.flexicubes.config import FlexiCubesConfig
 from sculpt_plugins.extractors.flexicubes.extractor import FlexiCubes
 
@@ -134,16 +137,17 @@ def measure(data: str, kind: str, options: Sequence[str]) -> Measured:
     """Reconstruct a scene on this kind of grid."""
     config = parse(["gaussian-sculpting", "--data", data, *options])
     scene = config.dataset.build(config.data).load()
-    config, _ = plan_scene(replace(config, observers=()), scene)
+    config, _ = plan_scene(of_sculpting(replace(config, observers=())), scene)
+    config = replace(config, plan=PlanConfig())
     events: list[Event] = []
-    pipeline = Pipeline(config, scene=scene, emit=events.append)
-    trainer, corners = pipeline.parts.trainer, None
+    session = Session(scene, config, emit=events.append)
+    trainer, corners = trainer_of(session), None
     if kind != "band":
         assert isinstance(config.extractor, FlexiCubesConfig)  # noqa: S101
-        grid, device = trainer.extractor.grid, pipeline.parts.device
+        grid, device = trainer.extractor.grid, pick_device(config.device)
         trainer.extractor = uniform = UniformFlexiCubes(config.extractor, grid, device, cube=kind == "cube")
         corners = uniform.corner_count
-    pipeline.train()
+    session.run()
     ends = [event.t_train for event in events if event.event == "outer_step"][WARM_UP_STEPS - 1 :]
     assert trainer.extraction is not None  # noqa: S101
     return Measured(

@@ -71,7 +71,7 @@ def table(blocks: dict[str, list[Block]], steps: int) -> str:
 
 def measure(chosen: argparse.Namespace, folder: Path) -> dict[str, list[Block]]:
     """The blocks, by who looked, round by round."""
-    from sculpt_framework.engine.pipeline import Pipeline
+    from sculpt_framework.engine.session import Session
     from sculpt_framework.engine.steering import Steering
     from sculpt_framework.serialization import config_to_json
     from sculpt_plugins.observers.recorder.config import RecorderConfig
@@ -81,7 +81,7 @@ def measure(chosen: argparse.Namespace, folder: Path) -> dict[str, list[Block]]:
     order = [look for index in range(chosen.rounds) for look in (LOOKS, LOOKS[::-1])[index % 2]]
     total = chosen.warm_up + chosen.steps * len(order)
     # Blocks are of one stage: the first one's share is all of the run.
-    config = parse([*words, "--trainer.outer-steps", str(100 * total)])
+    config = parse([*words, "--steps", str(100 * total)])
     (folder / "config.json").write_text(config_to_json(config))
     port = _free_port()
     observers = [RecorderConfig().build(folder), ViserConfig(port=port).build(folder)]
@@ -91,7 +91,7 @@ def measure(chosen: argparse.Namespace, folder: Path) -> dict[str, list[Block]]:
     meter = Meter()
 
     def before_step() -> bool:
-        done = pipeline.outer - chosen.warm_up
+        done = session.step - chosen.warm_up
         if done >= 0 and done % chosen.steps == 0:
             index = done // chosen.steps
             if index > 0:
@@ -108,10 +108,12 @@ def measure(chosen: argparse.Namespace, folder: Path) -> dict[str, list[Block]]:
         for observer in observers:
             observer.notify(event)
 
-    pipeline = Pipeline(config, emit=emit, should_stop=before_step)
-    steering = Steering(pipeline, emit=emit, folder=folder, sources=[viewer.take_commands])
+    session = Session(config.dataset.build(config.data).load(), config, emit=emit)
+    steering = Steering(session, folder=folder, sources=[viewer.take_commands])
     try:
-        pipeline._train(None)
+        for _ in session:
+            if before_step():
+                break
     finally:
         looking.close()
         for observer in observers:

@@ -6,7 +6,8 @@ in the module named after the slot (``sculpt_framework/fields.py`` and so on).
 """
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, fields
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -17,13 +18,17 @@ if TYPE_CHECKING:
     from sculpt_framework.binders import Binder
     from sculpt_framework.constraints import Constraint
     from sculpt_framework.datasets import Dataset
+    from sculpt_framework.engine.progress import Saved
     from sculpt_framework.extractors import Extractor
     from sculpt_framework.fields import Field
     from sculpt_framework.geometry.grid import Grid
     from sculpt_framework.initializers import Initializer
     from sculpt_framework.losses import GeometryLoss, ImageLoss, ViewsLoss
     from sculpt_framework.observers import Observer
+    from sculpt_framework.plan.decision import ScenePlan
     from sculpt_framework.rasterizers import Rasterizer
+    from sculpt_framework.reconstructor import Host, Reconstructor
+    from sculpt_framework.types import Camera, Rendering, Scene
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,141 +108,13 @@ class ObserverConfig(ComponentConfig, ABC):
 
 
 @dataclass(frozen=True, kw_only=True)
-class StageConfig:
-    """A stretch of training at one grid level and one image size."""
+class MethodConfig(ABC):
+    """What every run has, whatever reconstructs. A method derives its own config, with the slots it uses.
 
-    share: float
-    """Share of the outer steps that this stage takes; relative."""
-    time_share: float | None = None
-    """Share of the time that this stage takes under ``--max-time``, relative; default: the same as ``share``. Fine
-    stages cost more per step."""
-    level: int
-    """Grid level: cells are halved with each level."""
-    image_scale: float
-    """Side of the training images relative to the input, in (0, 1]."""
-    inner_steps: int
-    """Inner (Gaussian) steps per outer step, one view each."""
-    outer_views: int
-    """Views whose gradients one outer (surface) step adds up."""
-    silhouette_only: bool = False
-    """Shape by silhouettes alone, before colours count (paper, 3.3)."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class TrainerConfig:
-    """The bi-level loop."""
-
-    outer_steps: int
-    """Outer steps without ``--max-time``; with it, time decides."""
-    stages: tuple[StageConfig, ...]
-    """Coarse to fine."""
-    base_cells: int
-    """Grid cells along the longest side of the object's box at level 0."""
-    cell_pixels: float | None = None
-    """Width that cells have at least, in pixels of the stage's image that shows them best: where the stage's cells are
-    narrower, larger ones take their place. Default: all cells of a stage are alike."""
-    final_rate: float = 0.05
-    """Share of their start to which learning rates fall, exponentially, over the run."""
-    surface_steps: float = 0.0
-    """What the surface's rates, as shares of their start, add up to over the run at most: the longer it is, the sooner
-    they fall, so that time goes into refining. 0: no bound."""
-    level_gain_db: float = 0.0
-    """Under ``--max-time``, end sooner once twice the time of the last stage gains less on the held-out views, but not
-    before ``outer_steps``; 0: take all the time there is."""
-    gradient_isolation: bool = True
-    """Optimise a detached copy of the Gaussians in the inner loop; off: one joint update of everything (ablation)."""
-    warm_start: bool = True
-    """Keep each face's Gaussian parameters and optimiser state across outer steps; off: start anew (paper)."""
-    inner_gain: float = 0.0
-    """End the inner loop of an outer step once a pass over the views lowers its loss by less than this share; 0: take
-    all of its steps."""
-    still_cells: float = 0.0
-    """Gaussians of a face learn again once one of its corners has moved so far since they last did, in cells; 0: in
-    every outer step."""
-    inner_batch: int | None = None
-    """Views that one inner step takes together; there are as many fewer steps. Default: as many as there are processes
-    (torchrun), so one alone takes one; a run that is gone on with keeps its number."""
-    bind_every: int = 4
-    """Places, scales and rotations of the Gaussians learn in every so many inner steps; colours in all."""
-    sh_degree_every: int = 1000
-    """Inner steps after which one more degree of spherical harmonics becomes active (3DGS: 1000)."""
-    low_pass_px2: float = 0.05
-    """Variance added to every splat on the screen, in square pixels (3DGS: 0.3)."""
-    random_background: bool = True
-    """Compose images over a new random colour each step; off: over white."""
-    holdout_every: int = 10
-    """Every so many train views one is held out for choosing the best state; 0: none."""
-    fit_steps: int = 200
-    """Steps of fitting the field to the initial surface."""
-    warm_up_steps: int = 0
-    """Inner steps before the surface first moves: what has no colour yet pulls it wrong ways. Under a time limit they
-    take a quarter of it at most."""
-    ramp_steps: int = 1
-    """Outer steps over which the surface's rates grow to their full size: Adam's first steps are as long for noise as
-    for what matters, and would roughen a good start."""
-    trust_cells: float = 0.0
-    """How far one step may move the surface, in cells of the stage, where it moves farthest (all but 5 % of it), times
-    the learning rates' share of their start: a longer step is shortened. 0: as far as the rates take it."""
-    polish_steps: int = 100
-    """Inner steps on the final surface, for the colours that are saved."""
-    polish_gain_db: float = 0.0
-    """Stop that once ten steps gain less on two held-out views; 0: never."""
-    rest_after: int = 0
-    """Evaluations without effect after which a term of an objective rests, tried again every so many; 0: never."""
-    checkpoint_seconds: float = 60.0
-    """Wall seconds between checkpoints."""
-
-
-Switch = Literal["on", "off"]
-
-
-@dataclass(frozen=True, kw_only=True)
-class PlanConfig:
-    """What a run decides by itself from what the scene's data show (docs/plan.md).
-
-    An item that is None follows ``mode``; ``off`` leaves it as the method and the command line have it. What the
-    command line has set otherwise than the method is never decided.
+    Method functions return one; the command line edits it; a run directory keeps it as JSON. A field whose type is a
+    slot's base class (or a tuple of such) is chosen by name on the command line; a field that is another dataclass
+    is a group of options.
     """
-
-    mode: Switch = "off"
-    """Decide the items that say nothing themselves."""
-    silhouette: Switch | None = None
-    """Silhouette loss and start, by whether there are masks."""
-    stereo: Switch | None = None
-    """Depths before training, by whether colours say anything, and whether images agree in them."""
-    light: Switch | None = None
-    """How far the surface may move in training, by how much the light differs between images."""
-    views: Switch | None = None
-    """Views that see nothing or repeat another one."""
-    level: Switch | None = None
-    """The finest grid level, by the width of a pixel on the surface."""
-    images: Switch | None = None
-    """The size of the images, by the width of a cell in them."""
-    refinement: Switch | None = None
-    """Larger cells where the images show less, by how the width of a pixel varies."""
-    sh_degree: Switch | None = None
-    """Degree of the colours' spherical harmonics, by how colours change with the view."""
-    gaussians: Switch | None = None
-    """K per face, by the texture finer than a face."""
-    constraints: Switch | None = None
-    """Constraints that cannot act, or turn out not to."""
-    places: Switch | None = None
-    """Whether Gaussians learn their places and sizes on their faces, by the width of a face in the images."""
-    inner_steps: Switch | None = None
-    """Colour steps before and between two steps of the surface, by the texture."""
-    polish: Switch | None = None
-    """Colour steps after the last step of the surface, until they gain nothing."""
-
-    @property
-    def items(self) -> tuple[str, ...]:
-        """Names of the items to be decided, as the fields'."""
-        own = {each.name: getattr(self, each.name) for each in fields(PlanConfig) if each.name != "mode"}
-        return tuple(item for item, switch in own.items() if (switch or self.mode) == "on")
-
-
-@dataclass(frozen=True, kw_only=True)
-class MethodConfig:
-    """A complete run. Method functions return one; the command line edits it; a run directory keeps it as JSON."""
 
     method: str
     """Name the config was made under."""
@@ -247,6 +124,11 @@ class MethodConfig:
     """Run directory, empty or new. Default: outputs/SCENE/METHOD/TIME."""
     max_time: float | None = None
     """Wall seconds from the start of the process to the saved mesh. Default: as many steps as the method says."""
+    steps: int
+    """Steps without ``--max-time``; with it, time decides."""
+    level_gain_db: float = 0.0
+    """Under ``--max-time``, end sooner once twice the time of the last stage gains less on the held-out views, but not
+    before ``steps``; 0: take all the time there is."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """Where tensors live; auto takes CUDA if there is one."""
     threads: int | None = None
@@ -255,26 +137,50 @@ class MethodConfig:
     """Seed of every random choice."""
     reference: Path | None = None
     """Mesh in world frame to measure against. Default: gt_mesh.ply in the data folder, if there is one."""
-    refine_box: tuple[tuple[float, float, float, float, float, float], ...] = ()
-    """A box in world frame in which the surface gets finer cells; for several, give the option several times."""
-    refine_box_levels: int = 1
-    """How many times cells are halved in these boxes."""
-    repair: Path | None = None
-    """A finished run that this one goes on with in these boxes; outside, its surface stays. Set by ``--resume``."""
+    holdout_every: int = 10
+    """Every so many train views one is held out for choosing the best state; 0: none."""
+    checkpoint_seconds: float = 60.0
+    """Wall seconds between checkpoints."""
     skip_views: tuple[str, ...] = ()
     """Names of train views to leave out; the scene plan adds those that show nothing new."""
-    plan: PlanConfig = PlanConfig()
-    """What to decide from the scene's data."""
     replay: Path | None = None
     """events.jsonl of an earlier run: what that run was told in its viewer is told again, at the same steps."""
-    field: FieldConfig
-    extractor: ExtractorConfig
-    binder: BinderConfig
-    appearance: AppearanceConfig
-    rasterizer: RasterizerConfig
-    initializer: InitializerConfig
     dataset: DatasetConfig
-    losses: tuple[LossConfig, ...]
-    constraints: tuple[ConstraintConfig, ...]
     observers: tuple[ObserverConfig, ...]
-    trainer: TrainerConfig
+
+    @abstractmethod
+    def build(self, scene: "Scene", host: "Host") -> "Reconstructor":
+        """What the session hosts. Raises SculptError for what the user can mend."""
+
+    def check(self) -> None:
+        """Raise ConfigError for the first value of the method's own that no run can use."""
+        return
+
+    def short_words(self) -> tuple[str, ...]:
+        """Options that make a run of a few steps of it, in which all is compiled and loaded that a whole run needs."""
+        return ("--steps", "4")
+
+    def planned(self, scene: "Scene") -> "tuple[MethodConfig, ScenePlan | None]":
+        """The config as the scene's data decide it, and the decisions; None where nothing is to be decided."""
+        return self, None
+
+    def among(self, processes: int) -> "MethodConfig":
+        """The config for one of so many processes (torchrun)."""
+        return self
+
+    def check_start(self) -> None:
+        """Raise SculptError where a new run cannot be started, as far as is known without the scene."""
+        return
+
+    def start(self, scene: "Scene") -> "Saved | None":
+        """A state to go on from, where a new run does not begin from nothing."""
+        return None
+
+    def renderer(self, folder: Path, scene: "Scene") -> "Callable[[Camera], Rendering]":
+        """How a finished run in ``folder`` looks from a camera in world frame, on white: its mesh, in its colours.
+
+        Raises CheckpointError where the run has left nothing to draw.
+        """
+        from sculpt_framework.export.drawn_mesh import draw_saved_mesh
+
+        return draw_saved_mesh(folder)

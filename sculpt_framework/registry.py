@@ -9,7 +9,7 @@ import difflib
 import functools
 import sys
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from importlib.metadata import EntryPoint, distributions
 from typing import cast, get_type_hints
 
@@ -69,6 +69,11 @@ SLOTS: Mapping[str, Slot] = {
         Slot(name="observers", one="observer", base=ObserverConfig, many=True),
     )
 }
+
+
+def slots_of(kind: type[MethodConfig]) -> Mapping[str, Slot]:
+    """The slots a method uses, by its config class: its fields that are components, or tuples of such."""
+    return {each.name: SLOTS[each.name] for each in fields(kind) if each.name in SLOTS}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,8 +14,9 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from sculpt_framework import registry
 from sculpt_framework.config import ComponentConfig, MethodConfig
-from sculpt_framework.errors import ConfigError
+from sculpt_framework.errors import ConfigError, UnknownComponentError
 from sculpt_framework.registry import SLOTS
+from sculpt_framework.sculpting.config import SculptingConfig
 
 VERSION = 1
 
@@ -58,7 +59,21 @@ def config_from_values(values: object) -> MethodConfig:
     version = values.get("version")
     if version != VERSION or isinstance(version, bool):
         raise ConfigError(f"the configuration has version {version!r}; this program reads version {VERSION}.")
-    return _decode_dataclass(MethodConfig, {key: value for key, value in values.items() if key != "version"}, "")
+    own = {key: value for key, value in values.items() if key != "version"}
+    name = own.get("method")
+    if not isinstance(name, str):
+        raise (
+            _mismatch("method", name, "the name of a method") if "method" in own else ConfigError("method is missing.")
+        )
+    try:
+        kind = type(registry.load_method(name)())
+    except UnknownComponentError as unknown:
+        # A method may be gone, or renamed, and what it was made of still be here.
+        try:
+            return _decode_dataclass(SculptingConfig, own, "")
+        except ConfigError:
+            raise type(unknown)(f"method: {unknown}") from None
+    return _decode_dataclass(kind, own, "")
 
 
 def _encode(value: object, path: str) -> Any:

@@ -3,7 +3,7 @@
 What a planned run is compared with. Not to be changed when defaults change; ``tests/plan/test_everything.py`` holds it.
 """
 
-from sculpt_framework.config import MethodConfig, StageConfig, TrainerConfig
+from sculpt_framework.sculpting.config import SculptingConfig, StageConfig, TrainerConfig
 from sculpt_plugins.appearances.color_field.config import ColorFieldConfig
 from sculpt_plugins.binders.face_barycentric.config import FaceBarycentricConfig
 from sculpt_plugins.constraints.boundary.config import BoundaryConfig
@@ -24,10 +24,13 @@ from sculpt_plugins.observers.recorder.config import RecorderConfig
 from sculpt_plugins.rasterizers.auto.config import AutoRasterizerConfig
 
 
-def gaussian_sculpting_everything() -> MethodConfig:
+def gaussian_sculpting_everything() -> SculptingConfig:
     """The default of version 0.1 with nothing left out for any scene: the yardstick of the scene plan."""
-    return MethodConfig(
+    return SculptingConfig(
         method="gaussian-sculpting-everything",
+        steps=160,
+        holdout_every=10,
+        checkpoint_seconds=60.0,
         field=HashGridFieldConfig(
             num_levels=7,
             features_per_level=2,
@@ -138,7 +141,6 @@ def gaussian_sculpting_everything() -> MethodConfig:
             ),
         ),
         trainer=TrainerConfig(
-            outer_steps=160,
             stages=(
                 StageConfig(
                     share=1.0,
@@ -159,12 +161,10 @@ def gaussian_sculpting_everything() -> MethodConfig:
             sh_degree_every=1000,
             low_pass_px2=0.05,
             random_background=True,
-            holdout_every=10,
             fit_steps=200,
             warm_up_steps=40,
             ramp_steps=15,
             surface_steps=0.0,
             polish_steps=100,
-            checkpoint_seconds=60.0,
         ),
     )

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from sculpt_framework.config import MethodConfig, PlanConfig, StageConfig, TrainerConfig
+from sculpt_framework.sculpting.config import PlanConfig, SculptingConfig, StageConfig, TrainerConfig
 from sculpt_methods.sculpting import gaussian_sculpting
 from sculpt_plugins.appearances.per_gaussian.config import PerGaussianConfig
 from sculpt_plugins.binders.face_barycentric.config import FaceBarycentricConfig
@@ -21,11 +21,13 @@ from sculpt_plugins.losses.sign_change.config import SignChangeConfig
 from sculpt_plugins.losses.silhouette.config import SilhouetteConfig
 
 
-def gaussian_sculpting_paper() -> MethodConfig:
+def gaussian_sculpting_paper() -> SculptingConfig:
     """The paper's settings: MLP field, 1000 inner iterations from a fresh start per outer step, 128^3; hours."""
     return replace(
         gaussian_sculpting(),
         method="gaussian-sculpting-paper",
+        steps=1000,
+        level_gain_db=0.0,
         plan=PlanConfig(mode="off"),
         field=MlpFieldConfig(
             hidden_layers=8,  # 4.1 "8 fully connected layers"
@@ -74,7 +76,6 @@ def gaussian_sculpting_paper() -> MethodConfig:
             CoverageConfig(threshold=0.8, weight=0.01),  # eq. 9, tau = 0.8
         ),
         trainer=TrainerConfig(
-            outer_steps=1000,
             base_cells=128,  # 4.2: resolution 128
             final_rate=1.0,
             gradient_isolation=True,  # 3.3

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from sculpt_framework.config import MethodConfig, PlanConfig, StageConfig, TrainerConfig
+from sculpt_framework.sculpting.config import PlanConfig, SculptingConfig, StageConfig, TrainerConfig
 from sculpt_plugins.appearances.color_field.config import ColorFieldConfig
 from sculpt_plugins.binders.face_barycentric.config import FaceBarycentricConfig
 from sculpt_plugins.constraints.boundary.config import BoundaryConfig
@@ -25,10 +25,12 @@ from sculpt_plugins.observers.recorder.config import RecorderConfig
 from sculpt_plugins.rasterizers.auto.config import AutoRasterizerConfig
 
 
-def gaussian_sculpting() -> MethodConfig:
+def gaussian_sculpting() -> SculptingConfig:
     """The default: hash-grid SDF, FlexiCubes, warm inner loop, from the carved hull; minutes on a CPU."""
-    return MethodConfig(
+    return SculptingConfig(
         method="gaussian-sculpting",
+        steps=80,
+        level_gain_db=0.3,
         # Fewer colour steps cost more than they spare (docs/plan.md).
         plan=PlanConfig(mode="on", inner_steps="off"),
         field=HashGridFieldConfig(),
@@ -49,8 +51,6 @@ def gaussian_sculpting() -> MethodConfig:
         constraints=(MeeScaleConfig(), BoundaryConfig(), SpacingConfig(), CoverageConfig()),
         observers=(ConsoleConfig(), RecorderConfig()),
         trainer=TrainerConfig(
-            outer_steps=80,
-            level_gain_db=0.3,
             base_cells=32,
             warm_up_steps=120,
             ramp_steps=15,
@@ -61,18 +61,18 @@ def gaussian_sculpting() -> MethodConfig:
     )
 
 
-def gaussian_sculpting_tiny() -> MethodConfig:
+def gaussian_sculpting_tiny() -> SculptingConfig:
     """A few coarse steps in seconds: for tests and first contact."""
     base = gaussian_sculpting()
     return replace(
         base,
         method="gaussian-sculpting-tiny",
+        steps=24,
         plan=PlanConfig(mode="off"),
         initializer=VisualHullConfig(cells=0),
         losses=tuple(each for each in base.losses if not isinstance(each, ConsistencyConfig)),
         trainer=replace(
             base.trainer,
-            outer_steps=24,
             base_cells=16,
             fit_steps=60,
             warm_up_steps=0,

@@ -80,10 +80,10 @@ def bench_start(words: Sequence[str]) -> None:
 def _rows(data: str, request: StartRequest) -> list[StartRow]:
     import torch
 
-    from sculpt_framework.engine.images import in_object_frame
     from sculpt_framework.evaluation.geometry import MeasuredMesh, chamfer
     from sculpt_framework.evaluation.mesh import load_mesh
     from sculpt_framework.evaluation.visibility import seen_by_any, visible_distances
+    from sculpt_framework.sculpting.images import in_object_frame
 
     dataset = registry.default("dataset", "auto")
     assert isinstance(dataset, DatasetConfig)  # noqa: S101

@@ -166,11 +166,12 @@ def _parts(
     """The default method's binder, appearance and constraints on a bumpy sphere, and the CPU's rasteriser."""
     import torch
 
+    from sculpt_framework.sculpting.config import of_sculpting
     from sculpt_framework.sculpting.gaussian_scene import GaussianScene
     from sculpt_framework.types import Surface
 
     device = torch.device("cpu")
-    method = registry.load_method("gaussian-sculpting")()
+    method = of_sculpting(registry.load_method("gaussian-sculpting")())
     rasterizer = registry.default("rasterizer", "numba")
     assert isinstance(rasterizer, RasterizerConfig)  # noqa: S101 - what the registry promises for the slot
     points, triangles = bumpy_sphere(faces)

@@ -42,7 +42,7 @@ class SuiteRequest:
     """Seeds, one run for each."""
     max_time: Annotated[float | None, tyro.conf.arg(metavar="SECONDS", help_behavior_hint="")] = None
     """Wall seconds for each run. Default: as many steps as the method says."""
-    outer_steps: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")] = None
+    steps: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")] = None
     """Outer steps for each run, instead of seconds."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
     """Where runs and tables go. Default: outputs/suite-NAME. What has been run there is not run again."""
@@ -72,8 +72,8 @@ def suite(words: Sequence[str]) -> None:
     budget = None
     if request.max_time is not None:
         budget = Budget(kind="seconds", amount=request.max_time)
-    elif request.outer_steps is not None:
-        budget = Budget(kind="steps", amount=float(request.outer_steps))
+    elif request.steps is not None:
+        budget = Budget(kind="steps", amount=float(request.steps))
     title = f"Suite {request.name}"
     plan = cross(title, settings, found.scenes, [budget], request.seeds, extra)
     folder = request.out or Path("outputs") / f"suite-{request.name}"
@@ -111,9 +111,9 @@ def _check(request: SuiteRequest) -> None:
         raise ConfigError(f"--methods {' '.join(request.methods)}: expected one or more, each once.")
     if request.name != "captures" and (request.against or request.masks != "with"):
         raise ConfigError("--masks and --against are for the suite captures; the scenes of others are as they are.")
-    if request.max_time is not None and request.outer_steps is not None:
-        raise ConfigError("--max-time and --outer-steps: expected one of the two.")
+    if request.max_time is not None and request.steps is not None:
+        raise ConfigError("--max-time and --steps: expected one of the two.")
     if request.max_time is not None and not 0 < request.max_time < float("inf"):
         raise ConfigError(f"--max-time is {request.max_time}; expected seconds above 0.")
-    if request.outer_steps is not None and request.outer_steps < 1:
-        raise ConfigError(f"--outer-steps is {request.outer_steps}; expected 1 or more.")
+    if request.steps is not None and request.steps < 1:
+        raise ConfigError(f"--steps is {request.steps}; expected 1 or more.")

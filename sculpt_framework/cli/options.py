@@ -13,9 +13,10 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from sculpt_framework import registry
-from sculpt_framework.config import ComponentConfig, MethodConfig, PlanConfig, Switch
+from sculpt_framework.config import ComponentConfig, MethodConfig
 from sculpt_framework.errors import ComponentImportError, ConfigError, UnknownComponentError
-from sculpt_framework.registry import SLOTS, Slot
+from sculpt_framework.registry import Slot, slots_of
+from sculpt_framework.sculpting.config import PlanConfig, Switch
 
 Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="")]
 """A switch that is off unless named: no ``--no-`` twin, no default in the help."""
@@ -23,19 +24,8 @@ Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior
 NONE = "none"
 VIEWER = "viser"
 REFINE_BOX = "refine_box"
-RUN_OPTIONS = (
-    "data",
-    "output",
-    "max_time",
-    "device",
-    "threads",
-    "seed",
-    "reference",
-    REFINE_BOX,
-    "refine_box_levels",
-    "skip_views",
-    "replay",
-)
+HIDDEN = ("method", "repair")
+"""Fields of a method's config that are no options."""
 METAVARS = {
     "data": "DIR|demo|demo:NAME",
     "output": "DIR",
@@ -65,7 +55,7 @@ def apply_words(config: MethodConfig, words: Sequence[str], program: str, descri
     )
     if unknown:
         raise ConfigError(_explain_unknown(unknown[0], config))
-    return _config_of(options)
+    return _config_of(options, type(config))
 
 
 def swap_components(config: MethodConfig, words: Sequence[str]) -> tuple[MethodConfig, list[str]]:
@@ -76,12 +66,13 @@ def swap_components(config: MethodConfig, words: Sequence[str]) -> tuple[MethodC
     rest: list[str] = []
     swapped: set[str] = set()
     viewer = False
+    slots = slots_of(type(config))
     position = 0
     while position < len(words):
         word = words[position]
         position += 1
         option, equals, value = word.partition("=")
-        slot = SLOTS.get(option.removeprefix("--")) if option.startswith("--") else None
+        slot = slots.get(option.removeprefix("--")) if option.startswith("--") else None
         if word == "--viewer":
             viewer = True
             continue
@@ -103,11 +94,34 @@ def swap_components(config: MethodConfig, words: Sequence[str]) -> tuple[MethodC
 
 def flags(config: MethodConfig) -> tuple[str, ...]:
     """Every option there is for ``config``, in the order of the help, without the leading dashes."""
-    chosen = tuple(f"{slot}.{option}" for slot in SLOTS for option in _slot_flags(getattr(config, slot)))
-    trainer = tuple(f"trainer.{option}" for option in _flags_of(config.trainer))
-    general = tuple(name.replace("_", "-") for name in RUN_OPTIONS)
-    plan = tuple(f"plan.{option}" for option in _flags_of(config.plan) if option != "mode")
-    return (*general, "resume", "viewer", "plan", *plan, *SLOTS, *chosen, *trainer)
+    slots = slots_of(type(config))
+    chosen = tuple(f"{slot}.{option}" for slot in slots for option in _slot_flags(getattr(config, slot)))
+    groups = tuple(f"{name}.{option}" for name in _groups(config) for option in _flags_of(getattr(config, name)))
+    general = tuple(name.replace("_", "-") for name in _general(config))
+    plan = _plan_of(config)
+    items = () if plan is None else ("plan", *(f"plan.{option}" for option in _flags_of(plan) if option != "mode"))
+    return (*general, "resume", "viewer", *items, *slots, *chosen, *groups)
+
+
+def _general(config: MethodConfig) -> tuple[str, ...]:
+    """Fields that are one value each."""
+    return tuple(
+        each.name
+        for each in fields(config)
+        if each.name not in (*HIDDEN, *slots_of(type(config))) and not is_dataclass(getattr(config, each.name))
+    )
+
+
+def _groups(config: MethodConfig) -> tuple[str, ...]:
+    """Fields that are several options each, under a common prefix."""
+    slots = slots_of(type(config))
+    values = {each.name: getattr(config, each.name) for each in fields(config) if each.name not in slots}
+    return tuple(name for name, value in values.items() if is_dataclass(value) and not isinstance(value, PlanConfig))
+
+
+def _plan_of(config: MethodConfig) -> PlanConfig | None:
+    """What is decided from the scene's data, in methods that decide anything."""
+    return next((value for each in fields(config) if isinstance(value := getattr(config, each.name), PlanConfig)), None)
 
 
 def _choose(config: MethodConfig, slot: Slot, chosen: list[str]) -> MethodConfig:
@@ -136,22 +150,24 @@ def _choose(config: MethodConfig, slot: Slot, chosen: list[str]) -> MethodConfig
 
 
 def _options_type(config: MethodConfig) -> type[MethodConfig]:
-    """MethodConfig with each slot's type narrowed to the components in ``config``, and the options that choose them.
+    """The config's type with each slot narrowed to the components in ``config``, and the options that choose them.
 
-    A subclass, so that tyro finds the help of the general options at MethodConfig.
+    A subclass, so that tyro finds the help of the general options there.
     """
+    kind = type(config)
     made: list[tuple[str, Any, Any]] = [
-        ("method", Annotated[str, tyro.conf.Suppress], config.method),
-        ("repair", Annotated[Path | None, tyro.conf.Suppress], config.repair),
+        (each.name, Annotated[each.type, tyro.conf.Suppress], getattr(config, each.name))
+        for each in fields(kind)
+        if each.name in HIDDEN
     ]
-    for general in fields(MethodConfig):
-        if general.name in RUN_OPTIONS:
+    for general in fields(kind):
+        if general.name in _general(config):
             made.append((general.name, _general_option(general.name, general.type), getattr(config, general.name)))
     resume = tyro.conf.arg(metavar="RUN_DIR", help="Go on with the run saved there.", help_behavior_hint="")
     viewer = tyro.conf.arg(help="Short for adding the observer viser: watch in a browser.", help_behavior_hint="")
     made.append(("resume", Annotated[Path | None, resume], None))
     made.append(("viewer", Annotated[bool, tyro.conf.FlagCreatePairsOff, viewer], False))
-    for slot in SLOTS.values():
+    for slot in slots_of(kind).values():
         current = getattr(config, slot.name)
         known = registry.names(slot.name)
         if slot.many:
@@ -170,12 +186,13 @@ def _options_type(config: MethodConfig) -> type[MethodConfig]:
             choice = Annotated[Literal[known], option]  # pyright: ignore[reportInvalidTypeForm]
             made.append((f"{slot.name}_chosen", choice, registry.name_of(current)))
             made.append((slot.name, type(current), current))
-    made.append(("trainer", type(config.trainer), config.trainer))
-    made += _plan_options(config.plan)
+    made += [(name, type(getattr(config, name)), getattr(config, name)) for name in _groups(config)]
+    if (plan := _plan_of(config)) is not None:
+        made += _plan_options(plan)
     return make_dataclass(
         "Options",
         [(name, kind, field(default=default)) for name, kind, default in made],
-        bases=(MethodConfig,),
+        bases=(kind,),
         frozen=True,
         kw_only=True,
     )
@@ -212,15 +229,16 @@ def _general_option(name: str, kind: Any) -> Any:
     return kind
 
 
-def _config_of(options: MethodConfig) -> MethodConfig:
-    values = {each.name: getattr(options, each.name) for each in fields(MethodConfig)}
-    chosen = {"mode": vars(options)["plan_mode"]}
-    values["plan"] = PlanConfig(**{each.name: getattr(options.plan, each.name) for each in fields(PlanConfig)} | chosen)
-    for slot in SLOTS.values():
+def _config_of(options: MethodConfig, kind: type[MethodConfig]) -> MethodConfig:
+    values = {each.name: getattr(options, each.name) for each in fields(kind)}
+    if (plan := _plan_of(options)) is not None:
+        switches = {each.name: getattr(plan, each.name) for each in fields(PlanConfig)}
+        values["plan"] = PlanConfig(**switches | {"mode": vars(options)["plan_mode"]})
+    for slot in slots_of(kind).values():
         if slot.many:
             group = values[slot.name]
             values[slot.name] = tuple(getattr(group, part.name) for part in fields(group))
-    return MethodConfig(**values)
+    return kind(**values)
 
 
 def _slot_flags(value: ComponentConfig | tuple[ComponentConfig, ...]) -> Iterator[str]:
@@ -249,8 +267,9 @@ def _explain_unknown(word: str, config: MethodConfig) -> str:
         return f"{word!r} belongs to no option. Options start with two dashes; --help lists them."
     option = word.partition("=")[0].removeprefix("--").replace("_", "-").replace(".no-", ".")
     slot, _, rest = option.partition(".")
-    if slot in SLOTS and rest:
-        owner = _explain_absent(f"--{option}", SLOTS[slot], rest, config)
+    slots = slots_of(type(config))
+    if slot in slots and rest:
+        owner = _explain_absent(f"--{option}", slots[slot], rest, config)
         if owner:
             return owner
     near = registry.closest(option, flags(config))

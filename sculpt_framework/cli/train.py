@@ -20,6 +20,7 @@ from sculpt_framework.engine.clock import process_start
 from sculpt_framework.engine.output import check_output
 from sculpt_framework.errors import CheckpointError, ConfigError, DeviceError, SculptError
 from sculpt_framework.memory import collector_paused
+from sculpt_framework.sculpting.config import SculptingConfig
 from sculpt_framework.serialization import read_config
 from sculpt_framework.validation import check
 
@@ -167,7 +168,9 @@ def _saved_run(run_dir: Path, method: str | None, words: Sequence[str]) -> Metho
 def _repair(run_dir: Path, method: str | None, words: Sequence[str]) -> MethodConfig:
     """The config of a new run that goes on with the finished one in ``run_dir``, in the boxes the words give."""
     saved = _read_saved(run_dir, method)
-    last, steps = saved.trainer.stages[-1], max(1, round(REPAIR_SHARE * saved.trainer.outer_steps))
+    if not isinstance(saved, SculptingConfig):
+        raise ConfigError(f"--refine-box: runs of {saved.method!r} cannot be refined in boxes.")
+    last, steps = saved.trainer.stages[-1], max(1, round(REPAIR_SHARE * saved.steps))
     plain = replace(
         saved,
         output=None,
@@ -176,11 +179,11 @@ def _repair(run_dir: Path, method: str | None, words: Sequence[str]) -> MethodCo
         refine_box_levels=1,
         replay=None,
         repair=run_dir.absolute(),
-        trainer=replace(saved.trainer, stages=(last,), outer_steps=steps),
+        steps=steps,
+        trainer=replace(saved.trainer, stages=(last,)),
     )
     config = _edit(plain, words, f"{PROGRAM} --resume {run_dir}", "Refine a finished run in boxes.")
-    unchanged = replace(config, trainer=replace(config.trainer, outer_steps=steps))
-    _check_unchanged(run_dir, plain, unchanged, (*MAY_CHANGE_ON_RESUME, "refine_box", "refine_box_levels"))
+    _check_unchanged(run_dir, plain, config, (*MAY_CHANGE_ON_RESUME, "steps", "refine_box", "refine_box_levels"))
     return config if config.output is not None else replace(config, output=_repaired_folder(run_dir))
 
 
@@ -204,7 +207,7 @@ def _read_saved(run_dir: Path, method: str | None) -> MethodConfig:
 
 
 def _check_unchanged(run_dir: Path, saved: MethodConfig, config: MethodConfig, may_change: Sequence[str]) -> None:
-    for each in fields(MethodConfig):
+    for each in fields(saved):
         if each.name not in may_change and getattr(config, each.name) != getattr(saved, each.name):
             raise ConfigError(
                 f"--resume {run_dir}: {each.name} cannot be changed in a saved run. Start a new run for that."

@@ -9,9 +9,9 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
+from sculpt_framework.engine.progress import Progress
 from sculpt_framework.errors import CheckpointError
 from sculpt_framework.export.atomic import write_atomically
-from sculpt_framework.sculpting.state import Progress
 
 FORMAT = 1
 FILE_NAME = "latest.safetensors"

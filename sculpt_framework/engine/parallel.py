@@ -7,7 +7,6 @@ and does the same update. What depends on a clock, or is measured, the first pro
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from typing import TypeVar
 
 import torch
@@ -15,7 +14,6 @@ from jaxtyping import Int64
 from torch import Tensor
 
 from sculpt_framework.commands import Command, ExportMesh, TakeSnapshot, command_from_json, command_to_json
-from sculpt_framework.config import MethodConfig
 from sculpt_framework.errors import TrainingFailed
 
 Value = TypeVar("Value")
@@ -130,12 +128,6 @@ def gather(environment: Mapping[str, str], device: torch.device) -> Processes:
     from sculpt_framework.engine.parallel_ranks import Ranks
 
     return Ranks(environment, device)
-
-
-def with_batch(config: MethodConfig, processes: Processes) -> MethodConfig:
-    """The config with the views of an inner step decided, so that a run does not change with its processes later."""
-    batch = config.trainer.inner_batch or processes.count
-    return config if processes.count == 1 else replace(config, trainer=replace(config.trainer, inner_batch=batch))
 
 
 def shared_commands(

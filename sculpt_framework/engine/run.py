@@ -5,10 +5,9 @@ import logging
 import os
 import signal
 import sys
-import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -18,34 +17,29 @@ from torch import Tensor
 
 from sculpt_framework.commands import Recorded, read_recorded
 from sculpt_framework.config import MethodConfig
+from sculpt_framework.device import pick_device
 from sculpt_framework.engine.checkpoint import read_checkpoint, write_checkpoint
-from sculpt_framework.engine.images import prepare_image
 from sculpt_framework.engine.measuring import image_measures
 from sculpt_framework.engine.output import prepare_output
-from sculpt_framework.engine.parallel import Processes, gather, shared_commands, with_batch
-from sculpt_framework.engine.pipeline import Pipeline
+from sculpt_framework.engine.parallel import gather, shared_commands
+from sculpt_framework.engine.progress import Progress
+from sculpt_framework.engine.saving import CONFIG_NAME, MESH_NAME, save_result
+from sculpt_framework.engine.session import Session
 from sculpt_framework.engine.steering import Steering
 from sculpt_framework.engine.view_pictures import RESULT, image_picture, view_pictures
 from sculpt_framework.errors import CheckpointError, SculptError, TrainingFailed
+from sculpt_framework.evaluation.mesh import load_mesh
 from sculpt_framework.evaluation.pictures import Picture
 from sculpt_framework.evaluation.report import write_report
 from sculpt_framework.events import Event
 from sculpt_framework.export.atomic import cannot_write, remove_partial_files, write_atomically
-from sculpt_framework.export.gaussian_files import read_gaussians_ply, write_gaussians_ply
-from sculpt_framework.export.mesh_files import write_mesh_glb, write_mesh_ply
 from sculpt_framework.observers import Observer, SteeringObserver
-from sculpt_framework.plan.decision import ScenePlan, write_plan
-from sculpt_framework.sculpting.assembly import pick_device
-from sculpt_framework.sculpting.reconstruction import Reconstruction
-from sculpt_framework.sculpting.repair import repair_start
-from sculpt_framework.sculpting.state import Progress
+from sculpt_framework.plan.decision import write_plan
 from sculpt_framework.serialization import config_from_json, config_to_json
-from sculpt_framework.types import Gaussians, Scene
+from sculpt_framework.types import Camera, Rendering, Scene
 
-CONFIG_NAME = "config.json"
 CHECKPOINTS = "checkpoints"
 EVENTS_NAME = "events.jsonl"
-MESH_NAME = "mesh.ply"
 REPORT_NAME = "report.html"
 _log = logging.getLogger("sculpt")
 
@@ -70,27 +64,34 @@ def run(config: MethodConfig, *, resume: Path | None, started: float) -> None:
             processes.close()
             return
     saved = None if resume is None else read_checkpoint(resume / CHECKPOINTS)
-    if resume is None and config.repair is not None:
-        require_finished(config.repair)
     for observer in config.observers:
         observer.check()
+    if resume is None:
+        config.check_start()
     scene = processes.in_turn(lambda: config.dataset.build(config.data).load())
-    if resume is None and config.repair is not None:
-        saved = _start_repair(config, config.repair, scene)
-    plan = None
-    if saved is None:
-        config, plan = _plan(config, scene, processes)
-    config = with_batch(config, processes)
+    if resume is None:
+        saved = config.start(scene)
+    observers: list[Observer] = []
+
+    def emit(event: Event) -> None:
+        for observer in observers:
+            observer.notify(event)
+
+    def save_state(state: Mapping[str, Tensor], progress: Progress) -> None:
+        write_checkpoint(folder / CHECKPOINTS, state, progress)
+
+    session = Session(
+        scene, config, emit=emit, save_state=save_state, started=started, processes=processes, saved=saved
+    )
     # The first process makes the folder, in which another may find what the first has written.
-    folder = Path(processes.first(lambda: str(_run_folder(config, resume, plan))))
-    observers = [observer.build(folder) for observer in config.observers] if processes.leads else []
+    folder = Path(processes.first(lambda: str(_run_folder(session, resume))))
     try:
         with stop_on_interrupt() as stop_requested:
-            if plan is not None:
-                told = Event(t_train=0.0, t_wall=time.monotonic() - started, outer=0, event="plan", data=plan.values())
-                for observer in observers:
-                    observer.notify(told)
-            _train(config, scene, folder, observers, saved, stop_requested, started, processes)
+            if processes.leads:
+                observers += [observer.build(folder) for observer in config.observers]
+            if session.plan is not None:
+                session.tell("plan", session.plan.values())
+            _train(session, folder, observers, stop_requested)
     finally:
         for observer in observers:
             observer.close()
@@ -106,13 +107,13 @@ def _tell_finished(folder: Path) -> None:
     sys.stdout.write(f"{folder} has finished already; its mesh is {folder / MESH_NAME}\n")
 
 
-def _run_folder(config: MethodConfig, resume: Path | None, plan: ScenePlan | None) -> Path:
+def _run_folder(session: Session, resume: Path | None) -> Path:
     """The run directory, ready to be written to."""
     if resume is None:
-        folder = prepare_output(config)
-        write_atomically(folder / CONFIG_NAME, config_to_json(config).encode())
-        if plan is not None:
-            write_plan(plan, folder)
+        folder = prepare_output(session.config)
+        write_atomically(folder / CONFIG_NAME, config_to_json(session.config).encode())
+        if session.plan is not None:
+            write_plan(session.plan, folder)
     else:
         folder = resume
     try:
@@ -122,94 +123,38 @@ def _run_folder(config: MethodConfig, resume: Path | None, plan: ScenePlan | Non
     return folder
 
 
-def _train(
-    config: MethodConfig,
-    scene: Scene,
-    folder: Path,
-    observers: Sequence[Observer],
-    saved: tuple[Mapping[str, Tensor], Progress] | None,
-    stop_requested: "StopFlag",
-    started: float,
-    processes: Processes,
-) -> None:
-    def emit(event: Event) -> None:
-        for observer in observers:
-            observer.notify(event)
-
-    def save(state: Mapping[str, Tensor], progress: Progress) -> None:
-        write_checkpoint(folder / CHECKPOINTS, state, progress)
-
+def _train(session: Session, folder: Path, observers: Sequence[Observer], stop_requested: "StopFlag") -> None:
+    processes, config = session.processes, session.config
     intervals = [o.snapshot_seconds for o in observers if o.snapshot_seconds is not None]
-    replay = [] if config.replay is None else read_recorded(config.replay)
-    pipeline = Pipeline(
-        config,
-        scene=scene,
-        emit=emit,
-        should_stop=lambda: steering(),
-        save=save,
-        started=started,
-        processes=processes,
-    )
     steering = Steering(
-        pipeline,
-        emit=emit,
+        session,
         folder=folder,
         sources=shared_commands([o.take_commands for o in observers if isinstance(o, SteeringObserver)], processes),
-        replay=replay,
+        replay=[] if config.replay is None else read_recorded(config.replay),
         interrupted=lambda: processes.first(stop_requested),
         snapshot_seconds=min(intervals) if intervals else None,
     )
-    # A repair starts from a state that it was told nothing on the way to.
-    if saved is not None and saved[1].outer > 0:
-        steering.take_up(_told(folder), saved[1].outer)
-    result = pipeline.train(saved)
+    if session.step > 0:
+        steering.take_up(told_in(folder), session.step)
+    for _ in session:
+        if steering():
+            session.stop()
     processes.close()
     if not processes.leads:
         return
-    files = write_results(folder, result)
-    report = folder / REPORT_NAME
-    pipeline.announce_end(result, {"run_dir": str(folder), **files, "report": str(report)})
+    files = save_result(folder, session.mesh(), session.reconstructor)
+    files |= {"curve": folder / "curve.csv", "run_dir": folder, "report": folder / REPORT_NAME}
+    session.announce_end({kind: str(path) for kind, path in files.items()})
     try:
-        write_report(folder, pipeline.pictures())
+        write_report(folder, session.pictures())
     except SculptError as error:
         # The mesh is saved and measured: a page about it is not worth losing that.
-        pipeline.warn(f"no report: {error}")
-    if pipeline.failure is not None:
-        raise TrainingFailed(f"{pipeline.failure}; the best mesh until then is {files['mesh']}")
+        session.warn(f"no report: {error}")
+    if session.failure is not None:
+        raise TrainingFailed(f"{session.failure}; the best mesh until then is {files['mesh']}")
 
 
-def _plan(config: MethodConfig, scene: Scene, processes: Processes) -> tuple[MethodConfig, ScenePlan | None]:
-    """What to train, after a look at the scene; without that, and what it needs, where nothing is to be decided.
-
-    The first process has the plan, all have the config that follows from it.
-    """
-    if not config.plan.items:
-        return config, None
-    from sculpt_framework.plan.make import plan_scene
-
-    made: list[ScenePlan | None] = []
-
-    def decide() -> str:
-        decided, plan = plan_scene(config, scene)
-        made.append(plan)
-        return config_to_json(decided)
-
-    return config_from_json(processes.first(decide)), made[0] if made else None
-
-
-def _start_repair(config: MethodConfig, repaired: Path, scene: Scene) -> tuple[Mapping[str, Tensor], Progress]:
-    saved = read_checkpoint(repaired / CHECKPOINTS)
-    start = repair_start(config, read_config(repaired), scene, saved, _told(repaired))
-    if start.moved > 0:
-        _log.warning(
-            "this machine does not reproduce %s to the last bit: vertices outside the boxes are up to %.2g from there",
-            repaired / MESH_NAME,
-            start.moved,
-        )
-    return start.state, start.progress
-
-
-def _told(folder: Path) -> list[Recorded]:
+def told_in(folder: Path) -> list[Recorded]:
     """The commands that the run in ``folder`` obeyed; none where it had no recorder to note them."""
     events = folder / EVENTS_NAME
     return read_recorded(events) if events.is_file() else []
@@ -223,15 +168,6 @@ def require_finished(folder: Path) -> None:
             f"--resume {folder} --refine-box repairs a finished run; this one is "
             f"{'unfinished' if status is None else status}. Go on with it first: --resume {folder}"
         )
-
-
-def write_results(folder: Path, result: Reconstruction) -> dict[str, str]:
-    """Write mesh and Gaussians; returns their paths by kind."""
-    paths = {"mesh": folder / MESH_NAME, "glb": folder / "mesh.glb", "gaussians": folder / "gaussians.ply"}
-    write_mesh_ply(paths["mesh"], result.vertices, result.faces, result.colors)
-    write_mesh_glb(paths["glb"], result.vertices, result.faces, result.colors)
-    write_gaussians_ply(paths["gaussians"], result.gaussians)
-    return {kind: str(path) for kind, path in paths.items()} | {"curve": str(folder / "curve.csv")}
 
 
 class StopFlag:
@@ -272,26 +208,21 @@ def stop_on_interrupt() -> Iterator[StopFlag]:
 class FinishedRun:
     """A run read back: what is needed to look at it from the test views."""
 
+    folder: Path
     config: MethodConfig
     scene: Scene
-    gaussians: Gaussians
-    """In the object frame of ``scene.box``."""
+    render: Callable[[Camera], Rendering]
+    """How its result looks from a camera in world frame, on white."""
 
     def test_measures(self) -> dict[str, float | None]:
         """psnr (dB), ssim and iou, means over the test views, on white over whole images."""
-        device = pick_device(self.config.device)
-        images = [prepare_image(view, self.scene.box, 1.0, device, crop=False) for view in self.scene.test]
-        rasterizer = self.config.rasterizer.build(device)
-        return image_measures(rasterizer, self.gaussians, images, self.config.trainer.low_pass_px2)
+        return image_measures(self.render, self.scene.test)
 
     def pictures(self) -> dict[str, dict[str, Picture]]:
-        """A test view, or a train view if there is none, beside the Gaussians; as a run shows itself in its report."""
-        device = pick_device(self.config.device)
+        """A test view, or a train view if there is none, beside the result; as a run shows itself in its report."""
         view = (*self.scene.test, *self.scene.train)[0]
-        image = prepare_image(view, self.scene.box, 1.0, device, crop=False)
-        rasterizer, low_pass = self.config.rasterizer.build(device), self.config.trainer.low_pass_px2
-        pictures = view_pictures(rasterizer, self.gaussians, image, low_pass, errors=None)
-        return {RESULT: {**image_picture(image), **pictures}}
+        pictures = view_pictures(self.render, load_mesh(self.folder / MESH_NAME), view, None)
+        return {RESULT: {**image_picture(view), **pictures}}
 
 
 def read_config(folder: Path) -> MethodConfig:
@@ -303,16 +234,12 @@ def read_config(folder: Path) -> MethodConfig:
 
 
 def load_finished(folder: Path) -> FinishedRun:
-    """Read a run's Gaussians and its scene. Raises CheckpointError if the run has not left any."""
+    """Read a run's result and its scene. Raises CheckpointError if the run has not left any."""
     config = read_config(folder)
-    path = folder / "gaussians.ply"
-    if not path.is_file():
-        raise CheckpointError(f"{folder} has no gaussians.ply: the run has not finished; go on with --resume {folder}")
+    if not (folder / MESH_NAME).is_file():
+        raise CheckpointError(f"{folder} has no {MESH_NAME}: the run has not finished; go on with --resume {folder}")
     scene = config.dataset.build(config.data).load()
-    world = read_gaussians_ply(path)
-    box = scene.box
-    gaussians = replace(world, means=box.to_object(world.means.double()).float(), scales=world.scales / box.scale)
-    return FinishedRun(config=config, scene=scene, gaussians=gaussians)
+    return FinishedRun(folder=folder, config=config, scene=scene, render=config.renderer(folder, scene))
 
 
 def run_status(folder: Path) -> str | None:

@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from sculpt_framework import registry
-from sculpt_framework.config import MethodConfig
 from sculpt_framework.experiments.plan import PlannedScene, Setting, config_of
+from sculpt_framework.sculpting.config import SculptingConfig, of_sculpting
 
 SCALE = frozenset({"mee-scale"})
 """Constraints that make the paper's scale constraint (equations 3 to 5)."""
@@ -57,7 +57,7 @@ def ablation(method: str, scene: PlannedScene, extra: Sequence[str], *, factors:
     config = config_of(base, scene, extra)
     axes: list[list[Level]] = []
     same: dict[str, str] = {}
-    for axis in (axis for axis in _axes(config) if axis[0].factor in factors):
+    for axis in (axis for axis in _axes(of_sculpting(config)) if axis[0].factor in factors):
         kept = [(axis[0], config)]
         for level in axis[1:]:
             found = config_of(_setting(method, (level,), (axis[0],)), scene, extra)
@@ -82,7 +82,7 @@ def ablation(method: str, scene: PlannedScene, extra: Sequence[str], *, factors:
     return Ablation(settings=settings, levels=levels, same=same)
 
 
-def _axes(config: MethodConfig) -> list[list[Level]]:
+def _axes(config: SculptingConfig) -> list[list[Level]]:
     """The levels of each factor, the method's own first."""
     return [_constraints(config), _field(config), _isolation(config), _start(config)]
 
@@ -97,7 +97,7 @@ def _setting(method: str, combination: Sequence[Level], own: Sequence[Level]) ->
     )
 
 
-def _constraints(config: MethodConfig) -> list[Level]:
+def _constraints(config: SculptingConfig) -> list[Level]:
     """Table 3 of the paper: all, without scale, without distribution, only opacity, none."""
     names = [registry.name_of(constraint) for constraint in config.constraints]
 
@@ -119,7 +119,7 @@ def _constraints(config: MethodConfig) -> list[Level]:
     ]
 
 
-def _field(config: MethodConfig) -> list[Level]:
+def _field(config: SculptingConfig) -> list[Level]:
     """The method's own field, the paper's MLP, and one number per corner of the finest extraction grid."""
     own = registry.name_of(config.field)
     cells = max(config.trainer.base_cells << stage.level for stage in config.trainer.stages)
@@ -134,7 +134,7 @@ def _field(config: MethodConfig) -> list[Level]:
     ]
 
 
-def _isolation(config: MethodConfig) -> list[Level]:
+def _isolation(config: SculptingConfig) -> list[Level]:
     rows = [
         Level(factor="isolation", name="isolation", words=("--trainer.gradient-isolation",)),
         Level(factor="isolation", name="no-isolation", words=("--trainer.no-gradient-isolation",)),
@@ -142,7 +142,7 @@ def _isolation(config: MethodConfig) -> list[Level]:
     return rows if config.trainer.gradient_isolation else rows[::-1]
 
 
-def _start(config: MethodConfig) -> list[Level]:
+def _start(config: SculptingConfig) -> list[Level]:
     rows = [
         Level(factor="start", name="warm-start", words=("--trainer.warm-start",)),
         Level(factor="start", name="cold-start", words=("--trainer.no-warm-start",)),

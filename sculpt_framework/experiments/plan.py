@@ -16,7 +16,7 @@ from sculpt_framework.export.json_text import json_text
 
 PLAN_NAME = "plan.json"
 PLAN_SCHEMA = 1
-PLANNED_OPTIONS = ("--data", "--output", "--seed", "--resume", "--max-time", "--trainer.outer-steps")
+PLANNED_OPTIONS = ("--data", "--output", "--seed", "--resume", "--max-time", "--steps")
 """What a plan sets itself, run by run."""
 
 
@@ -40,7 +40,7 @@ class Budget:
     def words(self) -> tuple[str, ...]:
         if self.kind == "seconds":
             return ("--max-time", f"{self.amount:g}")
-        return ("--trainer.outer-steps", f"{self.amount:.0f}")
+        return ("--steps", f"{self.amount:.0f}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,8 +135,7 @@ def cross(
         for seed in seeds
         for setting in settings
     )
-    stages = len(config_of(settings[0], scenes[0], extra).trainer.stages)
-    short = _warm_up_words(stages)
+    short = config_of(settings[0], scenes[0], extra).short_words()
     first = {scene.data: scene for scene in reversed(scenes)}
     warm_ups = {scene.label: (*_start_of(settings[0], scene, extra), *short) for scene in first.values()}
     return Plan(title=title, cells=cells, warm_ups=warm_ups)
@@ -150,14 +149,6 @@ def config_of(setting: Setting, scene: PlannedScene, extra: Sequence[str]) -> Me
         return parse(_start_of(setting, scene, extra))
     except ConfigError as error:
         raise type(error)(f"{setting.name}: {error}") from error
-
-
-def _warm_up_words(stages: int) -> tuple[str, ...]:
-    """A step or so of every stage."""
-    words = ["--trainer.outer-steps", "4", "--trainer.fit-steps", "5", "--trainer.polish-steps", "2"]
-    for index in range(stages):
-        words += [f"--trainer.stages.{index}.inner-steps", "1", f"--trainer.stages.{index}.outer-views", "1"]
-    return tuple(words)
 
 
 def _start_of(setting: Setting, scene: PlannedScene, extra: Sequence[str]) -> tuple[str, ...]:

@@ -3,11 +3,12 @@
 from dataclasses import replace
 
 from sculpt_framework import registry
-from sculpt_framework.config import InitializerConfig, LossConfig, MethodConfig
+from sculpt_framework.config import InitializerConfig, LossConfig
 from sculpt_framework.plan.evidence import Evidence
 from sculpt_framework.plan.options import has_option, option_of, with_options, without
 from sculpt_framework.plan.ruling import Ruling
 from sculpt_framework.registry import name_of
+from sculpt_framework.sculpting.config import SculptingConfig
 
 PHOTOMETRIC, CONSISTENCY, BENDING = "photometric", "consistency", "bending"
 CARVED, STEREO, HULL = "photo-hull", "stereo", "visual-hull"
@@ -28,7 +29,7 @@ FIRST_STEPS, FOLLOWING_STEPS, OUTLINE_VIEWS = 30, 1, 2
 Gaussians are rendered for their outline alone."""
 
 
-def stereo(config: MethodConfig, evidence: Evidence) -> Ruling:
+def stereo(config: SculptingConfig, evidence: Evidence) -> Ruling:
     measured = {"speaking": evidence.speaking}
     why = _speaking(evidence)
     if name_of(config.initializer) != CARVED:
@@ -61,7 +62,7 @@ def stereo(config: MethodConfig, evidence: Evidence) -> Ruling:
     )
 
 
-def _start(name: str, config: MethodConfig) -> InitializerConfig:
+def _start(name: str, config: SculptingConfig) -> InitializerConfig:
     """The initializer of that name, with as many views as the method's own."""
     start = registry.default("initializer", name)
     assert isinstance(start, InitializerConfig)  # noqa: S101
@@ -69,7 +70,7 @@ def _start(name: str, config: MethodConfig) -> InitializerConfig:
     return replace(start, **{"max_views": views}) if has_option(start, "max_views") and views is not None else start
 
 
-def light(config: MethodConfig, evidence: Evidence) -> Ruling:
+def light(config: SculptingConfig, evidence: Evidence) -> Ruling:
     names = [name_of(each) for each in config.losses]
     if CONSISTENCY not in names:
         return Ruling(config=config, value="as the method has it", evidence=f"there is no term of {CONSISTENCY}")
@@ -102,7 +103,7 @@ def light(config: MethodConfig, evidence: Evidence) -> Ruling:
     )
 
 
-def _by_agreement(config: MethodConfig) -> MethodConfig:
+def _by_agreement(config: SculptingConfig) -> SculptingConfig:
     """Colours follow the surface instead of teaching it, and what says nothing is smoothed."""
     terms: list[LossConfig] = []
     for each in config.losses:

@@ -3,18 +3,18 @@
 import time
 
 from sculpt_framework import registry
-from sculpt_framework.config import MethodConfig
 from sculpt_framework.errors import ComponentImportError, UnknownComponentError
 from sculpt_framework.plan.decision import Decision, ScenePlan
 from sculpt_framework.plan.evidence import Evidence, gather
 from sculpt_framework.plan.options import set_by_hand
 from sculpt_framework.plan.rules import RULES
 from sculpt_framework.plan.ruling import Rule
+from sculpt_framework.sculpting.config import SculptingConfig, of_sculpting
 from sculpt_framework.types import Scene
 from sculpt_framework.validation import check
 
 
-def plan_scene(config: MethodConfig, scene: Scene) -> tuple[MethodConfig, ScenePlan | None]:
+def plan_scene(config: SculptingConfig, scene: Scene) -> tuple[SculptingConfig, ScenePlan | None]:
     """The config with what the scene does not need left out, and the decisions.
 
     The config as it is and None where nothing is to be decided; the scene is not looked at then.
@@ -29,8 +29,8 @@ def plan_scene(config: MethodConfig, scene: Scene) -> tuple[MethodConfig, SceneP
 
 
 def decide(
-    config: MethodConfig, evidence: Evidence, *, own: MethodConfig
-) -> tuple[MethodConfig, list[Decision], list[Decision]]:
+    config: SculptingConfig, evidence: Evidence, *, own: SculptingConfig
+) -> tuple[SculptingConfig, list[Decision], list[Decision]]:
     """The decided config, what was changed and what was looked at and kept.
 
     ``own`` is the method without what the user has set: what differs from it is the user's and is not decided.
@@ -65,9 +65,9 @@ def _dashed(rule: Rule) -> str:
     return rule.item.replace("_", "-")
 
 
-def _method_of(config: MethodConfig) -> MethodConfig:
+def _method_of(config: SculptingConfig) -> SculptingConfig:
     """The method as its function makes it; the config itself where it was made otherwise."""
     try:
-        return registry.load_method(config.method)()
+        return of_sculpting(registry.load_method(config.method)())
     except (UnknownComponentError, ComponentImportError):
         return config

@@ -4,8 +4,9 @@ from collections.abc import Sequence
 from dataclasses import fields, replace
 from typing import Any
 
-from sculpt_framework.config import ComponentConfig, MethodConfig, TrainerConfig
+from sculpt_framework.config import ComponentConfig
 from sculpt_framework.registry import SLOTS, name_of
+from sculpt_framework.sculpting.config import SculptingConfig, TrainerConfig
 
 Settings = ComponentConfig | TrainerConfig
 
@@ -19,17 +20,17 @@ def option_of(settings: Settings, option: str) -> Any:
     return getattr(settings, option) if has_option(settings, option) else None
 
 
-def with_options(config: MethodConfig, slot: str, **options: object) -> MethodConfig:
+def with_options(config: SculptingConfig, slot: str, **options: object) -> SculptingConfig:
     """The config with other values for options of a component, or of the trainer, that has them."""
     return replace(config, **{slot: replace(getattr(config, slot), **options)})
 
 
-def without(config: MethodConfig, slot: str, names: Sequence[str]) -> MethodConfig:
+def without(config: SculptingConfig, slot: str, names: Sequence[str]) -> SculptingConfig:
     """The config without some components of a slot that takes many."""
     return replace(config, **{slot: tuple(each for each in getattr(config, slot) if name_of(each) not in names)})
 
 
-def set_by_hand(config: MethodConfig, own: MethodConfig, paths: Sequence[str]) -> str | None:
+def set_by_hand(config: SculptingConfig, own: SculptingConfig, paths: Sequence[str]) -> str | None:
     """The first of the paths (``slot``, ``slot.option``) whose value is not the method's own, as an option."""
     for path in paths:
         slot, _, option = path.partition(".")

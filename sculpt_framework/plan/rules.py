@@ -8,12 +8,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from sculpt_framework import registry
-from sculpt_framework.config import InitializerConfig, MethodConfig
+from sculpt_framework.config import InitializerConfig
 from sculpt_framework.plan.agreement import PHOTOMETRIC, light, stereo
 from sculpt_framework.plan.evidence import Evidence
 from sculpt_framework.plan.options import option_of, with_options, without
 from sculpt_framework.plan.ruling import Rule, Ruling
 from sculpt_framework.registry import name_of
+from sculpt_framework.sculpting.config import SculptingConfig
 
 HULLS = ("visual-hull", "photo-hull", "stereo")
 SILHOUETTE, NO_MASKS = "silhouette", "sphere"
@@ -46,7 +47,7 @@ POLISH_GAIN_DB = 0.02
 ACTIVE_EVERY = 60
 
 
-def silhouette(config: MethodConfig, evidence: Evidence) -> Ruling:
+def silhouette(config: SculptingConfig, evidence: Evidence) -> Ruling:
     measured = {"masked": float(evidence.masked), "views": float(evidence.views)}
     if evidence.masked:
         why = f"{evidence.masked} of {evidence.views} views have an alpha"
@@ -62,7 +63,7 @@ def silhouette(config: MethodConfig, evidence: Evidence) -> Ruling:
     return Ruling(config=decided, value=value, evidence=why, measured=measured, saves=saves)
 
 
-def views(config: MethodConfig, evidence: Evidence) -> Ruling:
+def views(config: SculptingConfig, evidence: Evidence) -> Ruling:
     dropped = (*evidence.blind, *(name for name, _ in evidence.repeated))
     measured = {"blind": float(len(evidence.blind)), "repeated": float(len(evidence.repeated))}
     why = f"of {evidence.views} views {len(evidence.blind)} show nothing, {len(evidence.repeated)} repeat another"
@@ -80,7 +81,7 @@ def views(config: MethodConfig, evidence: Evidence) -> Ruling:
     )
 
 
-def level(config: MethodConfig, evidence: Evidence) -> Ruling:
+def level(config: SculptingConfig, evidence: Evidence) -> Ruling:
     pixels = cell_pixels(config, evidence)
     measured = {"cell_pixels": pixels}
     why = f"the smallest cells are {pixels:.2f} pixels wide in the views that show most"
@@ -106,7 +107,7 @@ def level(config: MethodConfig, evidence: Evidence) -> Ruling:
     )
 
 
-def images(config: MethodConfig, evidence: Evidence) -> Ruling:
+def images(config: SculptingConfig, evidence: Evidence) -> Ruling:
     pixels = cell_pixels(config, evidence)
     why = f"the smallest cells are {pixels:.2f} pixels wide in the views that show most"
     measured = {"cell_pixels": pixels}
@@ -133,7 +134,7 @@ def images(config: MethodConfig, evidence: Evidence) -> Ruling:
     )
 
 
-def refinement(config: MethodConfig, evidence: Evidence) -> Ruling:
+def refinement(config: SculptingConfig, evidence: Evidence) -> Ruling:
     ratio = evidence.pixel_worst / evidence.pixel_best
     why = f"pixels on the object differ in width by {ratio:.2f}"
     measured = {"ratio": ratio}
@@ -148,7 +149,7 @@ def refinement(config: MethodConfig, evidence: Evidence) -> Ruling:
     )
 
 
-def sh_degree(config: MethodConfig, evidence: Evidence) -> Ruling:
+def sh_degree(config: SculptingConfig, evidence: Evidence) -> Ruling:
     degree = option_of(config.appearance, "sh_degree")
     if evidence.gloss is None or degree is None:
         why = "how colours change with the view cannot be told: no masks, or too few views"
@@ -170,7 +171,7 @@ def sh_degree(config: MethodConfig, evidence: Evidence) -> Ruling:
     return Ruling(config=decided, value=value, evidence=why, measured=measured, saves=saves)
 
 
-def gaussians(config: MethodConfig, evidence: Evidence) -> Ruling:
+def gaussians(config: SculptingConfig, evidence: Evidence) -> Ruling:
     count = option_of(config.binder, "gaussians_per_face")
     face = FACE_SHARE * cell_pixels(config, evidence)
     fine, area = evidence.finer_than(face), face * face
@@ -187,7 +188,7 @@ def gaussians(config: MethodConfig, evidence: Evidence) -> Ruling:
     return Ruling(config=decided, value=f"K = {wanted}, not {count}", evidence=why, measured=measured, saves=saves)
 
 
-def places(config: MethodConfig, evidence: Evidence) -> Ruling:
+def places(config: SculptingConfig, evidence: Evidence) -> Ruling:
     learned, count = option_of(config.binder, "places"), option_of(config.binder, "gaussians_per_face")
     face = FACE_SHARE * cell_pixels(config, evidence)
     why = f"a face is {face:.1f} pixels wide, and has {count} Gaussian{'' if count == 1 else 's'}"
@@ -207,7 +208,7 @@ def places(config: MethodConfig, evidence: Evidence) -> Ruling:
     )
 
 
-def constraints(config: MethodConfig, evidence: Evidence) -> Ruling:
+def constraints(config: SculptingConfig, evidence: Evidence) -> Ruling:
     names = [name_of(each) for each in config.constraints]
     idle = [name for name in names if name in BETWEEN_GAUSSIANS]
     count = option_of(config.binder, "gaussians_per_face")
@@ -225,7 +226,7 @@ def constraints(config: MethodConfig, evidence: Evidence) -> Ruling:
     return Ruling(config=decided, value=value, evidence=why, measured={"count": float(count or 0)}, saves=out)
 
 
-def inner_steps(config: MethodConfig, evidence: Evidence) -> Ruling:
+def inner_steps(config: SculptingConfig, evidence: Evidence) -> Ruling:
     cell = cell_pixels(config, evidence)
     fine = evidence.finer_than(cell)
     why = f"texture finer than a cell ({cell:.1f} pixels) has a contrast of {fine:.3f}"
@@ -249,10 +250,10 @@ def inner_steps(config: MethodConfig, evidence: Evidence) -> Ruling:
     )
 
 
-def polish(config: MethodConfig, evidence: Evidence) -> Ruling:
+def polish(config: SculptingConfig, evidence: Evidence) -> Ruling:
     trainer = config.trainer
     why = f"{evidence.views} views; the run has yet to show how long colours improve"
-    if trainer.polish_steps == 0 or trainer.polish_gain_db > 0 or trainer.holdout_every == 0:
+    if trainer.polish_steps == 0 or trainer.polish_gain_db > 0 or config.holdout_every == 0:
         return Ruling(config=config, value=f"{trainer.polish_steps} steps", evidence=why)
     return Ruling(
         config=with_options(config, "trainer", polish_gain_db=POLISH_GAIN_DB),
@@ -263,14 +264,14 @@ def polish(config: MethodConfig, evidence: Evidence) -> Ruling:
     )
 
 
-def cell_pixels(config: MethodConfig, evidence: Evidence) -> float:
+def cell_pixels(config: SculptingConfig, evidence: Evidence) -> float:
     """Width of the smallest cells in the images of the last stage, in pixels of the views that show most."""
     last = max(config.trainer.stages, key=lambda stage: stage.level)
     cell = 2.0 / (config.trainer.base_cells << last.level)
     return cell / (evidence.pixel_best / last.image_scale)
 
 
-def _inner_binds(config: MethodConfig) -> float:
+def _inner_binds(config: SculptingConfig) -> float:
     """Bindings of one outer step, of steps that learn places and between them, beside the one there is anyway."""
     learning = -(-config.trainer.stages[-1].inner_steps // config.trainer.bind_every)
     return float(learning if config.trainer.bind_every == 1 else 2 * learning - 1)

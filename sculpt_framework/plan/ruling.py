@@ -3,15 +3,15 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from sculpt_framework.config import MethodConfig
 from sculpt_framework.plan.evidence import Evidence
+from sculpt_framework.sculpting.config import SculptingConfig
 
 
 @dataclass(frozen=True, kw_only=True)
 class Ruling:
     """What a rule would do."""
 
-    config: MethodConfig
+    config: SculptingConfig
     """As it is to be; equal to what was given where nothing is left out."""
     value: str
     evidence: str
@@ -26,4 +26,4 @@ class Rule:
     """Field of PlanConfig."""
     touches: Sequence[str]
     """What of the config it may change; if the user has set any of it, the item is the user's."""
-    decide: Callable[[MethodConfig, Evidence], Ruling]
+    decide: Callable[[SculptingConfig, Evidence], Ruling]

@@ -1,13 +1,13 @@
 """From a config to the components it names."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
 
-from sculpt_framework.config import MethodConfig, TrainerConfig
+from sculpt_framework.device import pick_device
 from sculpt_framework.engine.parallel import Processes
-from sculpt_framework.errors import ConfigError, DeviceError
+from sculpt_framework.errors import ConfigError
 from sculpt_framework.extractors import Extractor, RefiningExtractor
 from sculpt_framework.geometry.band import cells_at_level, coarsened, discover
 from sculpt_framework.geometry.grid import Grid, RefineBox, grid_over_box
@@ -15,9 +15,10 @@ from sculpt_framework.geometry.octree_policy import LevelMap, level_map, wanted_
 from sculpt_framework.losses import GeometryLoss, ImageLoss, TrainingImage, ViewsLoss
 from sculpt_framework.rasterizers import Rasterizer
 from sculpt_framework.registry import name_of
+from sculpt_framework.sculpting.config import SculptingConfig, TrainerConfig
 from sculpt_framework.sculpting.gaussian_scene import GaussianScene
 from sculpt_framework.sculpting.trainer import BiLevelTrainer, Objectives, Weighted
-from sculpt_framework.types import Box, Scene
+from sculpt_framework.types import Box
 
 PHOTOMETRIC, SILHOUETTE = "photometric", "silhouette"
 _LIPSCHITZ = 1.5
@@ -42,27 +43,21 @@ class Parts:
         return self.trainer.extractor.grid.cell / self.refinement
 
 
-def pick_device(wanted: str) -> torch.device:
-    """Raises DeviceError if CUDA is asked for and absent."""
-    available = torch.cuda.is_available()
-    if wanted == "cuda" and not available:
-        raise DeviceError("--device cuda was asked for, but torch sees no CUDA device here; use --device cpu or auto")
-    return torch.device("cuda" if available and wanted != "cpu" else "cpu")
-
-
 def build_parts(
-    config: MethodConfig, box: Box, generator: torch.Generator, processes: Processes | None = None
+    config: SculptingConfig, box: Box, generator: torch.Generator, processes: Processes | None = None
 ) -> Parts:
     """Build every component. Parameters are drawn from torch's own generator, seeded here with the run's seed."""
     device = pick_device(config.device)
     trainer = config.trainer
     if not trainer.stages:
         raise ConfigError("the method has no stages; --trainer.stages needs at least one")
-    torch.manual_seed(config.seed)
     grid = grid_over_box(box.half_sides, trainer.base_cells)
-    field = config.field.build(device)
     rasterizer = config.rasterizer.build(device)
-    scene = GaussianScene(config.binder.build(), config.appearance.build(device))
+    # The caller's own random numbers go on as if there had been no run.
+    with torch.random.fork_rng([device] if device.type == "cuda" else []):
+        torch.manual_seed(config.seed)
+        field = config.field.build(device)
+        scene = GaussianScene(config.binder.build(), config.appearance.build(device))
     return Parts(
         device=device,
         grid=grid,
@@ -81,7 +76,7 @@ def build_parts(
     )
 
 
-def build_extractor(config: MethodConfig, box: Box, grid: Grid, device: torch.device) -> Extractor:
+def build_extractor(config: SculptingConfig, box: Box, grid: Grid, device: torch.device) -> Extractor:
     """The extractor on the first stage's level, with the boxes it refines in.
 
     Raises ConfigError for boxes it cannot refine in, that miss the object's box, or whose cells would be too small.
@@ -114,7 +109,7 @@ def take_images(trainer: BiLevelTrainer, config: TrainerConfig, images: Sequence
         extractor.set_worth(LevelMap(levels=worth.levels.to(images[0].premultiplied.device)))
 
 
-def refine_boxes(config: MethodConfig, box: Box) -> list[RefineBox]:
+def refine_boxes(config: SculptingConfig, box: Box) -> list[RefineBox]:
     """The boxes of ``--refine-box`` in the object frame. Raises ConfigError for one that misses the object's box."""
     boxes = []
     for given in config.refine_box:
@@ -174,7 +169,7 @@ def fit_seeds(parts: Parts) -> None:
         parts.trainer.seeds = coarsened(parts.trainer.seeds, parts.trainer.extractor.grid.level)
 
 
-def build_objectives(config: MethodConfig) -> Objectives:
+def build_objectives(config: SculptingConfig) -> Objectives:
     """Sort the configured terms by what they look at.
 
     The inner loop needs a photometric term and the outer one something that sees images: ConfigError otherwise.
@@ -204,23 +199,3 @@ def build_objectives(config: MethodConfig) -> Objectives:
         views=views,
         constraints=[Weighted(name=name_of(c), weight=c.weight, term=c.build()) for c in config.constraints],
     )
-
-
-def without_views(scene: Scene, names: Collection[str]) -> Scene:
-    """The scene without train views of these names. Raises ConfigError for a name it has not, or if none is left."""
-    known = {view.name for view in scene.train}
-    for name in names:
-        if name not in known:
-            raise ConfigError(f"--skip-views {name}: the scene has no train view of that name.")
-    kept = tuple(view for view in scene.train if view.name not in names)
-    if not kept:
-        raise ConfigError("--skip-views names all train views; a run needs some.")
-    return scene if len(kept) == len(scene.train) else replace(scene, train=kept)
-
-
-def split_views(count: int, every: int) -> tuple[Sequence[int], Sequence[int]]:
-    """Indices to train on and to hold out: one of every ``every``, from the middle of each run of that length."""
-    if every <= 1 or count < every:
-        return range(count), ()
-    held = set(range(every // 2, count, every))
-    return [index for index in range(count) if index not in held], sorted(held)

@@ -1,4 +1,4 @@
-"""Whether there is memory for a stage's images and steps, before they are made, and time for any.
+"""Whether there is memory for a stage's images and steps, before they are made.
 
 What the system does about a process that takes too much is to swap for hours or to kill it without a word.
 """
@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import torch
 
-from sculpt_framework.config import MethodConfig, StageConfig
-from sculpt_framework.engine.images import object_window
 from sculpt_framework.errors import TrainingFailed
 from sculpt_framework.memory import available_bytes, in_words
+from sculpt_framework.sculpting.config import StageConfig
+from sculpt_framework.sculpting.images import object_window
 from sculpt_framework.sculpting.trainer import BiLevelTrainer
 from sculpt_framework.types import Box, View
 
@@ -33,15 +33,6 @@ class Sizes:
     cells: int
     """That the surface passes through."""
     gaussians: int
-
-
-def check_time(progress: float, config: MethodConfig, warn: Callable[[str], None]) -> None:
-    """Warn if the time a run is given is over, with its start just made."""
-    if config.max_time is not None and progress >= 1.0:
-        warn(
-            f"--max-time {config.max_time:g} was over before the start was made; the surface stays as that is, and has "
-            "hardly had time for colours. Give it more time, or fewer or smaller images"
-        )
 
 
 def sizes(trainer: BiLevelTrainer, pixels: int) -> Sizes:

@@ -1,20 +1,24 @@
 """Spherical-harmonics bands that held-out views do not see are given up."""
 
+from collections.abc import Callable
 from typing import Any
 
 from sculpt_framework.appearances import bands
 from sculpt_framework.binders import Binding
-from sculpt_framework.config import TrainerConfig
-from sculpt_framework.engine.measuring import Yardstick
+from sculpt_framework.sculpting.config import TrainerConfig
 from sculpt_framework.sculpting.gaussian_scene import assemble
 from sculpt_framework.sculpting.trainer import BiLevelTrainer
+from sculpt_framework.types import Gaussians
+
+Judge = Callable[[Gaussians], float]
+"""The psnr of Gaussians (object frame) on a few held-out views, in dB."""
 
 _GAIN_DB = 0.02
 """What bands bring at least, to be worth their rows."""
 
 
 def spare_bands(
-    trainer: BiLevelTrainer, binding: Binding, yardstick: Yardstick, config: TrainerConfig, outer: int
+    trainer: BiLevelTrainer, binding: Binding, judge: Judge | None, config: TrainerConfig, outer: int
 ) -> list[dict[str, Any]]:
     """Give up the bands without which held-out views are as good, once all have learned for a while.
 
@@ -23,14 +27,14 @@ def spare_bands(
     """
     scene, every = trainer.scene, config.rest_after
     degree = highest = scene.appearance.sh_degree
-    if every == 0 or outer % every > 0 or highest == 0 or not yardstick.images:
+    if every == 0 or outer % every > 0 or highest == 0 or judge is None:
         return []
     if trainer.inner_total < (highest + 1) * config.sh_degree_every:
         return []
 
     def quality(degree: int) -> float:
         sh = scene.harmonics(binding.means, degree=degree, learn=False)
-        return trainer.processes.first(lambda: yardstick.quick_psnr(assemble(binding.detach(), sh)))
+        return judge(assemble(binding.detach(), sh))
 
     best = quality(highest)
     lost = 0.0

@@ -5,12 +5,12 @@ from collections.abc import Callable, Sequence
 import torch
 
 from sculpt_framework.adam import Adam
-from sculpt_framework.config import MethodConfig
-from sculpt_framework.engine.images import in_object_frame
 from sculpt_framework.extractors import Extractor
 from sculpt_framework.fields import Field
 from sculpt_framework.geometry.band import discover
 from sculpt_framework.geometry.signed_distance import SdfFunction
+from sculpt_framework.sculpting.config import SculptingConfig
+from sculpt_framework.sculpting.images import in_object_frame
 from sculpt_framework.shape_from_images.volume import Volume, sample
 from sculpt_framework.types import Box, Surface, View
 
@@ -30,7 +30,7 @@ _STEEPEST = 2.0
 
 def fit_to_views(
     field: Field,
-    config: MethodConfig,
+    config: SculptingConfig,
     views: Sequence[View],
     box: Box,
     detail: float,

@@ -6,9 +6,9 @@ from typing import Any
 
 import torch
 
-from sculpt_framework.config import TrainerConfig
-from sculpt_framework.engine.measuring import Yardstick
 from sculpt_framework.losses import TrainingImage
+from sculpt_framework.sculpting.config import TrainerConfig
+from sculpt_framework.sculpting.idle_bands import Judge
 from sculpt_framework.sculpting.reconstruction import object_gaussians
 from sculpt_framework.sculpting.trainer import BiLevelTrainer
 from sculpt_framework.types import Surface
@@ -25,7 +25,7 @@ def polish(
     trainer: BiLevelTrainer,
     surface: Surface,
     images: Sequence[TrainingImage],
-    yardstick: Yardstick,
+    judge: Judge | None,
     config: TrainerConfig,
     deadline: float | None,
 ) -> list[dict[str, Any]]:
@@ -35,23 +35,20 @@ def polish(
 
     ``deadline`` is a ``time.monotonic()`` instant. Returns the data of the decision, if it ended for want of gain.
     """
-    watching = config.polish_gain_db > 0 and len(yardstick.images) > 0
+    judge = judge if config.polish_gain_db > 0 else None
     idle, first = 0, trainer.processes.first
     learning, rate = trainer.scene.learning, min(_RATE_AT_MOST, config.final_rate)
 
-    def score_now() -> float:
-        return first(lambda: yardstick.quick_psnr(object_gaussians(trainer.scene, surface)))
-
-    score = best = score_now() if watching else 0.0
-    kept = [tensor.detach().clone() for tensor in learning] if watching else []
+    score = best = judge(object_gaussians(trainer.scene, surface)) if judge else 0.0
+    kept = [tensor.detach().clone() for tensor in learning] if judge else []
     told = []
     for done in range(CHUNK, config.polish_steps + CHUNK, CHUNK):
         if deadline is not None and first(lambda: time.monotonic() >= deadline):
             break
         trainer.inner_loop(surface, images, CHUNK, rate_factor=rate)
-        if not watching:
+        if judge is None:
             continue
-        score = score_now()
+        score = judge(object_gaussians(trainer.scene, surface))
         idle = 0 if score > best + config.polish_gain_db else idle + 1
         if idle == _PATIENCE and done < config.polish_steps:
             left = config.polish_steps - done

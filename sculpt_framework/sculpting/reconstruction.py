@@ -4,9 +4,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float64, Int64
+from jaxtyping import Float, Float64
 
 from sculpt_framework.evaluation.mesh import Mesh
+from sculpt_framework.evaluation.painted import PaintedMesh
 from sculpt_framework.geometry.principal_axes import principal_axes
 from sculpt_framework.geometry.stray import compact, main_faces
 from sculpt_framework.rendering.spherical_harmonics import sh_to_rgb
@@ -15,18 +16,10 @@ from sculpt_framework.types import Box, Gaussians, Surface
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Reconstruction:
-    """World frame. ``gaussians`` keep the index of their face in ``faces``."""
+class Reconstruction(PaintedMesh):
+    """World frame. ``gaussians`` keep the index of their face in ``faces``; colours are as seen along the normal."""
 
-    vertices: Float[np.ndarray, "v 3"]
-    faces: Int64[np.ndarray, "f 3"]
-    colors: Float[np.ndarray, "v 3"]
-    """sRGB in [0, 1], as seen along the normal."""
     gaussians: Gaussians
-
-    @property
-    def mesh(self) -> Mesh:
-        return Mesh(vertices=self.vertices.astype(np.float64), faces=self.faces)
 
 
 @torch.no_grad()

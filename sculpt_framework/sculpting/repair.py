@@ -4,53 +4,46 @@ The state the result was made of becomes the first state of a new run, which may
 (``geometry.octree_hold``).
 """
 
-from dataclasses import dataclass, replace
+import logging
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import torch
-from torch import Tensor
 
-from sculpt_framework.commands import Recorded
-from sculpt_framework.config import MethodConfig
-from sculpt_framework.engine.pipeline import Pipeline
+from sculpt_framework.engine.checkpoint import read_checkpoint
+from sculpt_framework.engine.progress import Progress, Saved, with_best
+from sculpt_framework.engine.run import CHECKPOINTS, read_config, told_in
+from sculpt_framework.engine.session import Session
 from sculpt_framework.engine.steering import Steering
-from sculpt_framework.errors import ConfigError
+from sculpt_framework.errors import CheckpointError, ConfigError
 from sculpt_framework.evaluation.mesh import load_mesh
 from sculpt_framework.extractors import RefiningExtractor
 from sculpt_framework.sculpting.assembly import refine_boxes
+from sculpt_framework.sculpting.config import SculptingConfig
+from sculpt_framework.sculpting.method import Sculpting
 from sculpt_framework.sculpting.reconstruction import world_mesh
-from sculpt_framework.sculpting.state import Progress, capture, undisturbed, with_best
+from sculpt_framework.sculpting.state import capture, undisturbed
 from sculpt_framework.types import Scene
 
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class RepairStart:
-    """What a repair starts from: as a checkpoint of the new run, after no step."""
-
-    state: dict[str, Tensor]
-    progress: Progress
-    moved: float
-    """How far the held surface is from the finished run's mesh at most, world units; 0: the same to the bit."""
+_log = logging.getLogger("sculpt")
 
 
-def repair_start(
-    config: MethodConfig,
-    before: MethodConfig,
-    scene: Scene,
-    saved: tuple[dict[str, Tensor], Progress],
-    told: list[Recorded],
-) -> RepairStart:
-    """Hold the surface of the run that finished with ``saved``.
+def start_of_repair(config: SculptingConfig, repaired: Path, scene: Scene) -> Saved:
+    """What the repair of the finished run in ``repaired`` starts from: as a checkpoint of the new run, after no step.
 
-    ``before`` is that run's config, ``told`` what it was told in its viewer; ``config`` is the new run's. Raises
-    ConfigError for boxes it cannot refine in, and where there is no surface to hold.
+    Raises ConfigError for boxes it cannot refine in, CheckpointError where there is no surface to hold. Says so where
+    this machine does not reproduce the run's mesh.
     """
-    assert config.repair is not None, "a repair names the run it repairs"  # noqa: S101
     boxes = refine_boxes(config, scene.box)
-    pipeline = Pipeline(replace(before, device=config.device, max_time=None), scene=scene)
-    Steering(pipeline, emit=lambda event: None, folder=config.repair).take_up(told, saved[1].outer)
-    trainer, psnr = pipeline.at_result(saved)
+    saved = read_checkpoint(repaired / CHECKPOINTS)
+    before = replace(read_config(repaired), device=config.device, max_time=None)
+    session = Session(scene, before, saved=saved)
+    method = session.reconstructor
+    if not isinstance(method, Sculpting):
+        raise CheckpointError(f"{repaired} is a run of {before.method!r}, which cannot be repaired in boxes")
+    Steering(session, folder=repaired).take_up(told_in(repaired), session.step)
+    psnr, trainer = session.at_result(), method.trainer
     if not isinstance(trainer.extractor, RefiningExtractor):
         raise ConfigError(
             "--refine-box: the run's extractor has cells of one size only; it cannot be repaired in boxes"
@@ -60,13 +53,17 @@ def repair_start(
         mesh, _ = world_mesh(trainer.extract().surface.detach(), scene.box)
     trainer.extractor.hold_outside(boxes, (trainer.signed_distance, trainer.seeds))
     state = capture(trainer, 0, torch.Generator().manual_seed(config.seed))
-    return RepairStart(
-        state=with_best(state, None if psnr is None else state),
-        progress=Progress(
-            outer=0, progress=0.0, trained_seconds=0.0, best_psnr=psnr, rate_scale=1.0, recoveries=0, milestones=[]
-        ),
-        moved=_moved(config.repair / "mesh.ply", mesh.vertices),
+    moved = _moved(repaired / "mesh.ply", mesh.vertices)
+    if moved > 0:
+        _log.warning(
+            "this machine does not reproduce %s to the last bit: vertices outside the boxes are up to %.2g from there",
+            repaired / "mesh.ply",
+            moved,
+        )
+    progress = Progress(
+        outer=0, progress=0.0, trained_seconds=0.0, best_psnr=psnr, rate_scale=1.0, recoveries=0, milestones=[]
     )
+    return with_best(state, None if psnr is None else state), progress
 
 
 def _moved(path: Path, vertices: np.ndarray) -> float:

@@ -5,13 +5,12 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-from sculpt_framework.config import MethodConfig, StageConfig
-from sculpt_framework.engine.clock import TrainingClock
-from sculpt_framework.engine.images import pixel_footprint, prepare_images
 from sculpt_framework.errors import TrainingFailed
 from sculpt_framework.geometry.signed_distance import EmptySurfaceError
 from sculpt_framework.losses import TrainingImage
 from sculpt_framework.sculpting.assembly import SILHOUETTE, Parts, find_seeds, set_level
+from sculpt_framework.sculpting.config import SculptingConfig, StageConfig
+from sculpt_framework.sculpting.images import pixel_footprint, prepare_images
 from sculpt_framework.sculpting.trainer import BiLevelTrainer
 from sculpt_framework.types import Box, View
 
@@ -22,14 +21,14 @@ _LAST_RATE = 0.1
 """Of the surface's rate that a level begins with."""
 _WINDOW, _GAIN = 20, 0.02
 """A level ends once the loss of so many steps is not this share better than that of as many before."""
-_TIME_LEFT = 0.6
-"""Of a time limit, for all that comes after."""
 
 
 def shape_by_silhouettes(
-    parts: Parts, config: MethodConfig, views: Sequence[View], box: Box, clock: TrainingClock
+    parts: Parts, config: SculptingConfig, views: Sequence[View], box: Box, end: float | None
 ) -> list[dict[str, Any]]:
     """Fit the field's surface to the masks, on all levels coarser than the first stage's; views in world frame.
+
+    ``end`` is the ``time.monotonic()`` instant by which it has to be done; None where there is no time limit.
 
     Only where the initializer asks for it, there are masks and a term that looks at them, and the method does not begin
     with such a stage itself. Returns the data of the decision, if it was done. Optimisers begin anew after it. Raises
@@ -40,7 +39,6 @@ def shape_by_silhouettes(
         return []
     if not trainer.objectives.silhouettes or all(view.alpha is None for view in views):
         return []
-    end = clock.deadline(config.max_time, share_left=_TIME_LEFT, seconds_left=3.0)
     taken, loss = 0, math.nan
     try:
         for level in range(max(1, first.level)):

@@ -2,28 +2,11 @@
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import Any
 
 import torch
 from torch import Tensor, nn
 
 from sculpt_framework.sculpting.trainer import BiLevelTrainer
-
-
-@dataclass(frozen=True, kw_only=True)
-class Progress:
-    """Where a run stood when it was saved; with the captured tensors, all that resuming needs."""
-
-    outer: int
-    progress: float
-    """Share of the run that is done."""
-    trained_seconds: float
-    best_psnr: float | None
-    """Of the best state, whose tensors are saved beside the latest."""
-    rate_scale: float
-    recoveries: int
-    milestones: list[dict[str, Any]]
 
 
 def capture(trainer: BiLevelTrainer, stage: int, generator: torch.Generator) -> dict[str, Tensor]:
@@ -94,19 +77,6 @@ def undisturbed(trainer: BiLevelTrainer) -> Iterator[None]:
         for name, table in trainer.extractor.tables.items():
             table.load_state(tables[name])
         trainer.scene.load_state(rows)
-
-
-def with_best(latest: Mapping[str, Tensor], best: Mapping[str, Tensor] | None) -> dict[str, Tensor]:
-    """Two states as one, to be saved in one file: they must never be of different ages."""
-    out = dict(latest)
-    _put(out, "best", best or {})
-    return out
-
-
-def split_best(state: Mapping[str, Tensor]) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-    """Inverse of ``with_best``; the second is empty where there was none."""
-    latest = {name: tensor for name, tensor in state.items() if not name.startswith("best/")}
-    return latest, _get(state, "best")
 
 
 def _put(state: dict[str, Tensor], prefix: str, entries: Mapping[str, Tensor]) -> None:

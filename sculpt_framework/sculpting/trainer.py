@@ -17,13 +17,13 @@ from torch import Tensor
 
 from sculpt_framework.adam import Adam
 from sculpt_framework.binders import Binding
-from sculpt_framework.config import StageConfig, TrainerConfig
 from sculpt_framework.constraints import Constraint
 from sculpt_framework.engine.parallel import Alone, Processes
 from sculpt_framework.extractors import Extraction, Extractor
 from sculpt_framework.fields import Field
 from sculpt_framework.losses import GeometryLoss, ImageLoss, TrainingImage, ViewsLoss
 from sculpt_framework.rasterizers import Rasterizer
+from sculpt_framework.sculpting.config import StageConfig, TrainerConfig
 from sculpt_framework.sculpting.falling import Falling
 from sculpt_framework.sculpting.gaussian_scene import GaussianScene, assemble
 from sculpt_framework.sculpting.regions import Frozen, Region, frozen_rows, signed_distance, untaught

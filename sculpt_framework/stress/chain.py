@@ -10,12 +10,13 @@ from torch import Tensor
 
 from sculpt_framework import registry
 from sculpt_framework.appearances import bands
-from sculpt_framework.config import FieldConfig, MethodConfig
+from sculpt_framework.config import FieldConfig
 from sculpt_framework.demo_scenes.cameras import demo_cameras
 from sculpt_framework.fields import Field
 from sculpt_framework.geometry.band import discover
 from sculpt_framework.geometry.grid import Grid, grid_over_box
 from sculpt_framework.losses import ImageLoss, Target, ViewsLoss
+from sculpt_framework.sculpting.config import SculptingConfig, of_sculpting
 from sculpt_framework.sculpting.gaussian_scene import assemble
 from sculpt_framework.stress.cases import Case, Measured
 from sculpt_framework.stress.precision import default_type, relative
@@ -70,7 +71,7 @@ def chain_cases() -> Iterator[Case]:
 _DEGENERATE = {"flat": "rounded, so that crossings lie on grid corners", "folded": "with rows pushed to 30"}
 
 
-def walk(method: MethodConfig, field: str, dtype: torch.dtype, degenerate: str | None = None) -> Walk:
+def walk(method: SculptingConfig, field: str, dtype: torch.dtype, degenerate: str | None = None) -> Walk:
     """One outer step's objective and gradients, with the inner loop's constraints added, on a bumpy sphere.
 
     The parameters are the same numbers for both types: drawn in float32, then widened.
@@ -90,7 +91,7 @@ def walk(method: MethodConfig, field: str, dtype: torch.dtype, degenerate: str |
         return _walk(method, made, grid, dtype, degenerate)
 
 
-def _walk(method: MethodConfig, field: Field, grid: Grid, dtype: torch.dtype, degenerate: str | None) -> Walk:
+def _walk(method: SculptingConfig, field: Field, grid: Grid, dtype: torch.dtype, degenerate: str | None) -> Walk:
     def sdf(points: Tensor) -> Tensor:
         value = field(points).sdf
         if degenerate == "flat":
@@ -150,7 +151,7 @@ def _target(dtype: torch.dtype) -> Target:
 
 
 def _compared(method: str, field: str) -> Measured:
-    config = registry.load_method(method)()
+    config = of_sculpting(registry.load_method(method)())
     single, double = (walk(config, field, dtype) for dtype in (torch.float32, torch.float64))
     if not torch.equal(single.surface.face_keys, double.surface.face_keys):
         return Measured(value=float("inf"), note="float32 and float64 connect the surface differently")
@@ -162,7 +163,7 @@ def _compared(method: str, field: str) -> Measured:
 
 
 def _degenerate(kind: str) -> Measured:
-    config = registry.load_method("gaussian-sculpting")()
+    config = of_sculpting(registry.load_method("gaussian-sculpting")())
     broken, largest = 0, 0.0
     for dtype in (torch.float32, torch.float64):
         found = walk(config, "hash-grid", dtype, kind)

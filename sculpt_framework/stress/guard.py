@@ -7,7 +7,8 @@ from functools import wraps
 from typing import Any
 
 from sculpt_framework import registry
-from sculpt_framework.engine.pipeline import Pipeline
+from sculpt_framework.engine.session import Session
+from sculpt_framework.sculpting.config import of_sculpting
 from sculpt_framework.stress.cases import Case, Measured
 from sculpt_framework.stress.small import small_scene, trainer_of
 
@@ -51,18 +52,18 @@ class Stopwatch:
 
 
 def _share() -> Measured:
-    config = registry.load_method("gaussian-sculpting")()
-    trainer = replace(config.trainer, outer_steps=_STEPS, polish_steps=0, fit_steps=60, trust_cells=0.1)
-    config = replace(config, trainer=trainer, observers=(), data="guard")
-    pipeline = Pipeline(config, scene=small_scene(pixels=_PIXELS))
+    config = of_sculpting(registry.load_method("gaussian-sculpting")())
+    trainer = replace(config.trainer, polish_steps=0, fit_steps=60, trust_cells=0.1)
+    config = replace(config, steps=_STEPS, trainer=trainer, observers=(), data="guard")
+    session = Session(small_scene(pixels=_PIXELS), config)
     watch, trust = Stopwatch(), Stopwatch()
-    for timer, owner, names in ((watch, trainer_of(pipeline), CHECKS), (trust, trainer_of(pipeline).trust, BOUND)):
+    for timer, owner, names in ((watch, trainer_of(session), CHECKS), (trust, trainer_of(session).trust, BOUND)):
         for name in names:
             setattr(owner, name, timer.timed(getattr(owner, name)))
     steps = Stopwatch()
     for name in ("settle", "update"):
-        setattr(trainer_of(pipeline), name, steps.timed(getattr(trainer_of(pipeline), name)))
-    pipeline.train()
+        setattr(trainer_of(session), name, steps.timed(getattr(trainer_of(session), name)))
+    session.run()
     checks, bound, step_ms = (1e3 * each.seconds / _STEPS for each in (watch, trust, steps))
     note = f"checks {checks:.2f} ms and steps' bound {bound:.2f} ms of {step_ms:.0f} ms an outer step"
     return Measured(value=100.0 * (checks + bound) / step_ms, note=note)

@@ -6,9 +6,9 @@ from functools import lru_cache, partial
 
 import torch
 
-from sculpt_framework.engine.pipeline import Pipeline
+from sculpt_framework.engine.session import Session
 from sculpt_framework.stress.cases import Case, Measured
-from sculpt_framework.stress.small import Outcome, small_method, small_scene, train, trainer_of
+from sculpt_framework.stress.small import Outcome, method_of, small_method, small_scene, train, trainer_of
 from sculpt_framework.types import Scene
 
 AT = 6
@@ -16,7 +16,7 @@ AT = 6
 _LOSS_AT_MOST = 3.0
 """dB of held-out PSNR that a run may lose by an injury: it goes on at half the rates."""
 
-Injure = Callable[[Pipeline], None]
+Injure = Callable[[Session], None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,14 +30,14 @@ class Injury:
     """What the message must name."""
 
 
-def _field_nan(pipeline: Pipeline) -> None:
+def _field_nan(session: Session) -> None:
     with torch.no_grad():
-        next(iter(trainer_of(pipeline).field.parameters()))[0] = torch.nan
+        next(iter(trainer_of(session).field.parameters()))[0] = torch.nan
 
 
-def _gradient_nan(pipeline: Pipeline) -> None:
+def _gradient_nan(session: Session) -> None:
     """Of the next backward pass through the field, once."""
-    parameter = next(iter(trainer_of(pipeline).field.parameters()))
+    parameter = next(iter(trainer_of(session).field.parameters()))
 
     def spoil(gradient: torch.Tensor) -> torch.Tensor:
         handle.remove()
@@ -46,35 +46,35 @@ def _gradient_nan(pipeline: Pipeline) -> None:
     handle = parameter.register_hook(spoil)
 
 
-def _image_nan(pipeline: Pipeline) -> None:
+def _image_nan(session: Session) -> None:
     """In the view that the next step looks at first, until the view order is drawn anew."""
-    images = pipeline._images
-    index = trainer_of(pipeline).views.order[-1] if trainer_of(pipeline).views.order else 0
+    images = method_of(session).images
+    index = trainer_of(session).views.order[-1] if trainer_of(session).views.order else 0
     spoilt = images[index].premultiplied.clone()
     spoilt[0, 0, 0] = torch.nan
     images[index] = replace(images[index], premultiplied=spoilt)
 
 
-def _colour_nan(pipeline: Pipeline) -> None:
+def _colour_nan(session: Session) -> None:
     with torch.no_grad():
-        next(iter(trainer_of(pipeline).scene.appearance_rows.leaves.values()))[0] = torch.nan
+        next(iter(trainer_of(session).scene.appearance_rows.leaves.values()))[0] = torch.nan
 
 
-def _shape_nan(pipeline: Pipeline) -> None:
+def _shape_nan(session: Session) -> None:
     with torch.no_grad():
-        trainer_of(pipeline).scene.geometry_rows.leaves["log_ratios"][0] = torch.nan
+        trainer_of(session).scene.geometry_rows.leaves["log_ratios"][0] = torch.nan
 
 
-def _moments_infinite(pipeline: Pipeline) -> None:
-    optimizer = trainer_of(pipeline).optimizer
+def _moments_infinite(session: Session) -> None:
+    optimizer = trainer_of(session).optimizer
     state = optimizer.state()
     optimizer.load_state({n: v.fill_(torch.inf) if n.endswith("exp_avg") else v for n, v in state.items()})
 
 
-def _level(value: float, pipeline: Pipeline) -> None:
+def _level(value: float, session: Session) -> None:
     """The coarsest table of the hash grid is added to the distance."""
     with torch.no_grad():
-        next(iter(trainer_of(pipeline).field.parameters())).fill_(value)
+        next(iter(trainer_of(session).field.parameters())).fill_(value)
 
 
 INJURIES = (
@@ -142,10 +142,10 @@ def _unharmed() -> Outcome:
 def injured(injury: Injury, *, always: bool) -> Outcome:
     """A small run with the injury at step ``AT``, or at it and every one after."""
 
-    def before(pipeline: Pipeline) -> None:
+    def before(session: Session) -> None:
         nonlocal once
-        if pipeline.outer >= AT and (always or not once):
-            injury.injure(pipeline)
+        if session.step >= AT and (always or not once):
+            injury.injure(session)
             once = True
 
     once = False

@@ -9,11 +9,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from sculpt_framework.config import MethodConfig
 from sculpt_framework.demo_scenes.cameras import demo_cameras
 from sculpt_framework.demo_scenes.distance import Points, Values, box, capsule, smooth_difference, sphere
 from sculpt_framework.demo_scenes.objects import DemoObject, demo_object
 from sculpt_framework.errors import SculptError, TrainingFailed
+from sculpt_framework.sculpting.config import SculptingConfig
 from sculpt_framework.stress.cases import Case, Measured
 from sculpt_framework.stress.small import PIXELS, VIEWS, chamfer, scene_of, small_method, train, truth_of
 from sculpt_framework.types import Box, Camera, Scene, View
@@ -37,7 +37,7 @@ class Extreme:
     expected: str = "a closed finite mesh"
     may_refuse: bool = False
     """One line that says what is wrong with the input will do as well."""
-    method: Callable[[], MethodConfig] = small_method
+    method: Callable[[], SculptingConfig] = small_method
 
 
 def scene_cases() -> Iterator[Case]:
@@ -281,7 +281,7 @@ def _enlarged(width: int, height: int) -> Scene:
     return replace(_plain(), train=tuple(views))
 
 
-def _at_a_fiftieth() -> MethodConfig:
+def _at_a_fiftieth() -> SculptingConfig:
     config = small_method()
     stages = tuple(replace(stage, image_scale=0.02) for stage in config.trainer.stages)
     return replace(config, trainer=replace(config.trainer, stages=stages))

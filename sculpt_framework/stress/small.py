@@ -7,17 +7,18 @@ from dataclasses import dataclass, replace
 import torch
 
 from sculpt_framework import registry
-from sculpt_framework.config import MethodConfig, StageConfig
 from sculpt_framework.demo_scenes.cameras import demo_cameras
 from sculpt_framework.demo_scenes.objects import DemoObject, demo_object
 from sculpt_framework.demo_scenes.reference import reference_mesh
 from sculpt_framework.demo_scenes.tracing import render
-from sculpt_framework.engine.pipeline import Pipeline
+from sculpt_framework.engine.session import Session
 from sculpt_framework.evaluation.certificate import certify
 from sculpt_framework.evaluation.geometry import MeasuredMesh
 from sculpt_framework.evaluation.mesh import Mesh
 from sculpt_framework.evaluation.mesh_report import mesh_measures
 from sculpt_framework.events import Event
+from sculpt_framework.sculpting.config import SculptingConfig, StageConfig, of_sculpting
+from sculpt_framework.sculpting.method import Sculpting
 from sculpt_framework.sculpting.reconstruction import Reconstruction
 from sculpt_framework.sculpting.trainer import BiLevelTrainer
 from sculpt_framework.types import Box, Camera, Scene, View
@@ -32,7 +33,7 @@ _PARTS = {
 
 _TRUTH_CELLS, _SAMPLES = 64, 20_000
 
-Before = Callable[[Pipeline], None]
+Before = Callable[[Session], None]
 """Called before every outer step."""
 
 
@@ -78,38 +79,31 @@ def scene_of(item: DemoObject, cameras: Sequence[Camera]) -> Scene:
     return Scene(name=item.name, train=train, test=(), box=ball_box())
 
 
-def small_method(outer_steps: int = 16, inner_steps: int = 2, **changes: object) -> MethodConfig:
+def small_method(steps: int = 16, inner_steps: int = 2, **changes: object) -> SculptingConfig:
     """The tiny method, smaller still. ``changes`` are fields of the method, or of its trainer."""
-    base = registry.load_method(_METHOD)()
+    base = of_sculpting(registry.load_method(_METHOD)())
     stage = StageConfig(share=1.0, level=0, image_scale=1.0, inner_steps=inner_steps, outer_views=2)
-    trainer = replace(
-        base.trainer, outer_steps=outer_steps, base_cells=14, fit_steps=60, polish_steps=4, stages=(stage,)
-    )
+    trainer = replace(base.trainer, base_cells=14, fit_steps=60, polish_steps=4, stages=(stage,))
     parts = {slot: replace(getattr(base, slot), **options) for slot, options in _PARTS.items()}
-    config = replace(base, **parts, observers=(), trainer=trainer, data="small")
+    config = replace(base, **parts, observers=(), steps=steps, trainer=trainer, data="small")
     return changed(config, changes)
 
 
-def changed(config: MethodConfig, changes: Mapping[str, object]) -> MethodConfig:
+def changed(config: SculptingConfig, changes: Mapping[str, object]) -> SculptingConfig:
     """With fields of the method, or of its trainer, set to other values."""
     inside = {name: value for name, value in changes.items() if name in type(config.trainer).__dataclass_fields__}
     around = {name: value for name, value in changes.items() if name not in inside}
     return replace(config, trainer=replace(config.trainer, **inside), **around)  # pyright: ignore[reportArgumentType]
 
 
-def train(config: MethodConfig, scene: Scene, before: Before | None = None) -> Outcome:
+def train(config: SculptingConfig, scene: Scene, before: Before | None = None) -> Outcome:
     """Run to the end. Raises TrainingFailed if there never was a surface."""
     events: list[Event] = []
-    pipeline: Pipeline
-
-    def ask() -> bool:
-        if before is not None:
-            before(pipeline)
-        return False
-
-    pipeline = Pipeline(config, scene=scene, emit=events.append, should_stop=ask)
-    result = pipeline.train()
-    return Outcome(result=result, events=events, failure=pipeline.failure)
+    session = Session(scene, config, emit=events.append)
+    for report in session:
+        if before is not None and report.progress < 1:
+            before(session)
+    return Outcome(result=method_of(session).reconstruction(), events=events, failure=session.failure)
 
 
 def truth_of(item: DemoObject) -> MeasuredMesh:
@@ -124,6 +118,11 @@ def chamfer(outcome: Outcome, truth: MeasuredMesh) -> float:
     return float(mesh_measures(mesh, truth, _SAMPLES)["chamfer_ps"] or math.nan)
 
 
-def trainer_of(pipeline: Pipeline) -> BiLevelTrainer:
+def method_of(session: Session) -> Sculpting:
     """What a run is made of, for those who break it on purpose."""
-    return pipeline._trainer
+    assert isinstance(session.reconstructor, Sculpting), "methods here are of this kind"  # noqa: S101
+    return session.reconstructor
+
+
+def trainer_of(session: Session) -> BiLevelTrainer:
+    return method_of(session).trainer

@@ -6,10 +6,10 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
 from sculpt_framework import registry
-from sculpt_framework.config import MethodConfig
 from sculpt_framework.demo_scenes.objects import demo_object
 from sculpt_framework.errors import TrainingFailed
 from sculpt_framework.evaluation.geometry import MeasuredMesh
+from sculpt_framework.sculpting.config import SculptingConfig
 from sculpt_framework.stress.cases import Case, Measured
 from sculpt_framework.stress.small import chamfer, small_method, small_scene, train, truth_of
 from sculpt_framework.types import Scene
@@ -28,7 +28,7 @@ _SCALE = "mee-scale"
 _RUINED = 8.0
 """Multiple of the error of the method as it is beyond which a run has lost the object."""
 
-Change = Callable[[MethodConfig, float], MethodConfig]
+Change = Callable[[SculptingConfig, float], SculptingConfig]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,10 +125,10 @@ def curves() -> list[Curve]:
     return found
 
 
-def standard() -> MethodConfig:
+def standard() -> SculptingConfig:
     """What is changed: the small method with three Gaussians on a face, so that all constraints are at work, and with
     the terms that a plan uses for photographs."""
-    config = small_method(outer_steps=_STEPS, inner_steps=3)
+    config = small_method(steps=_STEPS, inner_steps=3)
     more = [registry.default("losses", name) for name in ("consistency", "bending")]
     return replace(
         config,
@@ -137,7 +137,7 @@ def standard() -> MethodConfig:
     )
 
 
-def settings() -> Iterator[tuple[str, str, MethodConfig]]:
+def settings() -> Iterator[tuple[str, str, SculptingConfig]]:
     base = standard()
     for steps, outer in ((0, _STEPS), (1, _STEPS), (10_000, 1)):
         yield f"inner-{steps}", f"{steps} inner steps in each of {outer} outer steps", _inner_steps(base, steps, outer)
@@ -167,7 +167,7 @@ def settings() -> Iterator[tuple[str, str, MethodConfig]]:
     yield "cold-start", "Gaussians start anew at every outer step", cold
 
 
-def _weighted(slot: str, name: str, config: MethodConfig, factor: float) -> MethodConfig:
+def _weighted(slot: str, name: str, config: SculptingConfig, factor: float) -> SculptingConfig:
     parts = tuple(
         replace(part, weight=factor * part.weight) if registry.name_of(part) == name else part
         for part in getattr(config, slot)
@@ -175,7 +175,7 @@ def _weighted(slot: str, name: str, config: MethodConfig, factor: float) -> Meth
     return replace(config, **{slot: parts})
 
 
-def _wide(config: MethodConfig, factor: float) -> MethodConfig:
+def _wide(config: SculptingConfig, factor: float) -> SculptingConfig:
     """Gaussians start three times as wide as their share of the face: the scale constraint has something to do."""
     wide = replace(config, binder=replace(config.binder, scale=3.0))  # pyright: ignore[reportCallIssue]
     return _weighted("constraints", _SCALE, wide, factor)
@@ -185,31 +185,31 @@ def _scaled(config: object, factor: float, names: Sequence[str]) -> object:
     return replace(config, **{name: factor * getattr(config, name) for name in names})  # pyright: ignore
 
 
-def _field_rate(config: MethodConfig, factor: float) -> MethodConfig:
+def _field_rate(config: SculptingConfig, factor: float) -> SculptingConfig:
     return replace(config, field=_scaled(config.field, factor, ("learning_rate",)))  # pyright: ignore
 
 
-def _bounded_field_rate(config: MethodConfig, factor: float) -> MethodConfig:
+def _bounded_field_rate(config: SculptingConfig, factor: float) -> SculptingConfig:
     return _bounded(_field_rate(config, factor))
 
 
-def _bounded(config: MethodConfig) -> MethodConfig:
+def _bounded(config: SculptingConfig) -> SculptingConfig:
     return replace(config, trainer=replace(config.trainer, trust_cells=BOUND))
 
 
-def _inner_rates(config: MethodConfig, factor: float) -> MethodConfig:
+def _inner_rates(config: SculptingConfig, factor: float) -> SculptingConfig:
     binder = _scaled(config.binder, factor, ("barycentric_rate", "scale_rate", "rotation_rate", "opacity_rate"))
     rates = tuple(name for name in type(config.appearance).__dataclass_fields__ if name.endswith("rate"))
     appearance = _scaled(config.appearance, factor, rates)
     return replace(config, binder=binder, appearance=appearance)  # pyright: ignore
 
 
-def _inner_steps(config: MethodConfig, steps: int, outer: int) -> MethodConfig:
+def _inner_steps(config: SculptingConfig, steps: int, outer: int) -> SculptingConfig:
     stages = tuple(replace(stage, inner_steps=steps) for stage in config.trainer.stages)
-    return replace(config, trainer=replace(config.trainer, stages=stages, outer_steps=outer))
+    return replace(config, steps=outer, trainer=replace(config.trainer, stages=stages))
 
 
-def _run(bench: Bench, config: MethodConfig) -> Measured:
+def _run(bench: Bench, config: SculptingConfig) -> Measured:
     try:
         outcome = train(config, bench.scene)
     except TrainingFailed as error:

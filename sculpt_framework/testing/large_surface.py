@@ -5,7 +5,7 @@ import math
 import torch
 
 from sculpt_framework.geometry.grid import Grid, pack
-from sculpt_framework.sculpting.snapshot import Snapshot
+from sculpt_framework.snapshot import Cells, Snapshot
 from sculpt_framework.types import Box, Gaussians, Surface
 
 
@@ -37,8 +37,7 @@ def large_snapshot(faces: int, gaussians_per_face: int) -> Snapshot:
         surface=surface,
         gaussians=_gaussians(surface, gaussians_per_face),
         box=Box(minimum=-torch.ones(3), maximum=torch.ones(3)),
-        grid=grid,
-        cells=cells,
+        cells=Cells(grid=grid, keys=cells),
     )
 
 

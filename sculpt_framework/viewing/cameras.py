@@ -94,7 +94,7 @@ class CameraTab:
         if self._rasterizer is None:
             self.text.content = f"{name}: rendering."
             self._rasterizer = rasterizer_here()
-        found = compare(self._rasterizer, self._run.config, scene, index, frame.gaussians)
+        found = compare(self._rasterizer, self._run.low_pass_px2, scene, index, frame.gaussians)
         error = found.difference.astype(np.float64).mean() / 4
         self.text.content = f"{name}: mean difference {error:.1f} of 255."
         for picture, image in zip(self.pictures, (found.photograph, found.rendering, found.difference), strict=True):

@@ -7,9 +7,9 @@ import torch
 from jaxtyping import UInt8
 
 from sculpt_framework import registry
-from sculpt_framework.config import MethodConfig, RasterizerConfig
-from sculpt_framework.engine.images import prepare_image
+from sculpt_framework.config import RasterizerConfig
 from sculpt_framework.rasterizers import Rasterizer
+from sculpt_framework.sculpting.images import prepare_image
 from sculpt_framework.types import Gaussians, Scene
 from sculpt_framework.viewing.layers import as_bytes
 
@@ -35,14 +35,14 @@ def rasterizer_here() -> Rasterizer:
 
 
 @torch.no_grad()
-def compare(rasterizer: Rasterizer, config: MethodConfig, scene: Scene, index: int, gaussians: Gaussians) -> Comparison:
+def compare(rasterizer: Rasterizer, low_pass_px2: float, scene: Scene, index: int, gaussians: Gaussians) -> Comparison:
     """Render a train view's camera; ``gaussians`` are in world frame."""
     view, box = scene.train[index], scene.box
     scale = min(1.0, _PIXELS_AT_MOST / max(view.camera.width, view.camera.height))
     image = prepare_image(view, box, scale, torch.device("cpu"), crop=False)
     local = replace(gaussians, means=box.to_object(gaussians.means), scales=gaussians.scales / box.scale)
     white = torch.ones(3)
-    rendering = rasterizer.render(local, image.camera, white, low_pass_px2=config.trainer.low_pass_px2, normals=False)
+    rendering = rasterizer.render(local, image.camera, white, low_pass_px2=low_pass_px2, normals=False)
     target = image.over(white).rgb
     return Comparison(
         photograph=as_bytes(target.numpy()),

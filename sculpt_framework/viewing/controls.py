@@ -19,6 +19,7 @@ from sculpt_framework.commands import (
 )
 from sculpt_framework.config import MethodConfig
 from sculpt_framework.registry import name_of
+from sculpt_framework.sculpting.config import SculptingConfig
 from sculpt_framework.viewing.layers import show_box
 from sculpt_framework.viewing.stage import Stage
 
@@ -38,30 +39,39 @@ class Controls:
         send: Callable[[Command], None],
     ):
         self._server, self._stage, self._send = server, stage, send
-        gui = server.gui
         with tabs.add_tab("Steer"):
             self._button("Pause", Pause())
             self._button("Go on", Resume())
             self._button("Export the mesh", ExportMesh())
             self._button("Stop and save", Stop())
-            with gui.add_folder("Weights", expand_by_default=False):
-                for loss in config.losses:
-                    self._weight("losses", name_of(loss), loss.weight)
-                for constraint in config.constraints:
-                    self._weight("constraints", name_of(constraint), constraint.weight)
-            with gui.add_folder("Constraints", expand_by_default=False):
-                for constraint in config.constraints:
-                    self._switch(name_of(constraint))
-            with gui.add_folder("Learning rates", expand_by_default=False):
-                self._rate("surface")
-                self._rate("gaussians")
-            with gui.add_folder("A box"):
-                self._place = gui.add_button("Place a box")
-                self._size = gui.add_vector3("Sides", (1.0, 1.0, 1.0), min=(1e-6, 1e-6, 1e-6), visible=False)
-                self._actions = [self._box_button(label, kind) for label, kind in _KINDS]
-                self._button("Take all boxes back", ClearBoxes())
+            # What other methods can be told is not known here.
+            if isinstance(config, SculptingConfig):
+                self._add_terms(config)
+                self._add_box()
         self._gizmo: viser.TransformControlsHandle | None = None
         self._outline: viser.LineSegmentsHandle | None = None
+
+    def _add_terms(self, config: SculptingConfig) -> None:
+        gui = self._server.gui
+        with gui.add_folder("Weights", expand_by_default=False):
+            for loss in config.losses:
+                self._weight("losses", name_of(loss), loss.weight)
+            for constraint in config.constraints:
+                self._weight("constraints", name_of(constraint), constraint.weight)
+        with gui.add_folder("Constraints", expand_by_default=False):
+            for constraint in config.constraints:
+                self._switch(name_of(constraint))
+        with gui.add_folder("Learning rates", expand_by_default=False):
+            self._rate("surface")
+            self._rate("gaussians")
+
+    def _add_box(self) -> None:
+        gui = self._server.gui
+        with gui.add_folder("A box"):
+            self._place = gui.add_button("Place a box")
+            self._size = gui.add_vector3("Sides", (1.0, 1.0, 1.0), min=(1e-6, 1e-6, 1e-6), visible=False)
+            self._actions = [self._box_button(label, kind) for label, kind in _KINDS]
+            self._button("Take all boxes back", ClearBoxes())
         self._place.on_click(lambda _: self._place_box())
         self._size.on_update(lambda _: self._resize())
 

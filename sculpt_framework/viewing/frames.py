@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int64
+from jaxtyping import Float, Int64, UInt8
 from torch import Tensor
 
 from sculpt_framework.errors import CheckpointError
@@ -21,7 +21,8 @@ from sculpt_framework.export.atomic import write_atomically
 from sculpt_framework.geometry.band import levels_of
 from sculpt_framework.geometry.grid import Grid, unpack_ijk
 from sculpt_framework.sculpting.reconstruction import in_world
-from sculpt_framework.sculpting.snapshot import Snapshot
+from sculpt_framework.snapshot import Cells as SurfaceCells
+from sculpt_framework.snapshot import Snapshot
 from sculpt_framework.types import Box, Gaussians, Surface
 
 FOLDER = "evolution"
@@ -76,21 +77,25 @@ def write_frame(path: Path, snapshot: Snapshot, *, outer: int, t_train: float, w
         "vertices": _plain(surface.vertices, np.float32),
         "faces": _plain(surface.faces, np.int32),
         "face_keys": _plain(surface.face_keys, np.int64),
-        "face": _plain(gaussians.face, np.int32),
     }
-    if whole:
-        grid = snapshot.grid
+    if gaussians is None:
+        arrays["vertex_rgb"] = _bytes(_plain(snapshot.vertex_colors, np.float32))
+    elif whole:
         arrays |= {
+            "face": _plain(gaussians.face, np.int32),
             "means": _plain(gaussians.means, np.float32),
             "scales": _plain(gaussians.scales, np.float32),
             "rotations": _plain(gaussians.rotations, np.float32),
             "opacities": _plain(gaussians.opacities, np.float32),
             "sh": _plain(gaussians.sh, np.float16),
-            "cells": _plain(snapshot.cells, np.int64),
-            "grid": np.array([*grid.origin, *grid.base_shape, grid.base_cell, grid.level], dtype=np.float64),
         }
     else:
-        arrays["rgb"] = (255 * _plain(0.5 + _SH_BAND_0 * gaussians.sh[:, 0], np.float32).clip(0, 1)).astype(np.uint8)
+        arrays["face"] = _plain(gaussians.face, np.int32)
+        arrays["rgb"] = _bytes(_plain(0.5 + _SH_BAND_0 * gaussians.sh[:, 0], np.float32))
+    if whole and snapshot.cells is not None:
+        grid = snapshot.cells.grid
+        arrays["cells"] = _plain(snapshot.cells.keys, np.int64)
+        arrays["grid"] = np.array([*grid.origin, *grid.base_shape, grid.base_cell, grid.level], dtype=np.float64)
     buffer = io.BytesIO()
     np.savez(buffer, **arrays)  # pyright: ignore[reportArgumentType] (the stub takes "allow_pickle" for one of them)
     write_atomically(path, buffer.getvalue())
@@ -112,8 +117,20 @@ def read_frame(path: Path) -> Frame:
 
 def frame_of(snapshot: Snapshot, *, outer: int, t_train: float) -> Frame:
     """A frame straight from a snapshot."""
+    cells = None if snapshot.cells is None else _cells_in_world(snapshot.cells, snapshot.box)
+    if snapshot.gaussians is None:
+        vertices = snapshot.box.to_world(snapshot.surface.vertices.double()).cpu().numpy()
+        return Frame(
+            outer=outer,
+            t_train=t_train,
+            vertices=vertices.astype(np.float32),
+            faces=snapshot.surface.faces.cpu().numpy(),
+            colors=_plain(snapshot.vertex_colors, np.float32),
+            face_keys=snapshot.surface.face_keys.cpu().numpy(),
+            cells=cells,
+        )
     plain, gaussians = _plain_frame(snapshot.surface, snapshot.gaussians, snapshot.box, outer, t_train)
-    return replace(plain, gaussians=gaussians, cells=_cells(snapshot.cells.cpu(), snapshot.grid, snapshot.box))
+    return replace(plain, gaussians=gaussians, cells=cells)
 
 
 def _plain_frame(
@@ -145,6 +162,19 @@ def _frame(arrays: dict[str, np.ndarray], outer: int, t_train: float) -> Frame:
         faces=tensor("faces", torch.int64),
         face_keys=tensor("face_keys", torch.int64),
     )
+    cells = None
+    if "cells" in arrays:
+        grid = arrays["grid"]
+        x, y, z = grid[3:6].astype(int).tolist()
+        origin = (grid[0], grid[1], grid[2])
+        cells = SurfaceCells(
+            grid=Grid(origin=origin, base_shape=(x, y, z), base_cell=float(grid[6]), level=int(grid[7])),
+            keys=tensor("cells", torch.int64),
+        )
+    if "vertex_rgb" in arrays:
+        colors = tensor("vertex_rgb", torch.float32) / 255
+        snapshot = Snapshot(surface=surface, box=box, colors=colors, cells=cells)
+        return frame_of(snapshot, outer=outer, t_train=t_train)
     face = tensor("face", torch.int64)
     if "rgb" in arrays:
         flat: Any = (tensor("rgb", torch.float32) / 255 - 0.5) / _SH_BAND_0
@@ -158,8 +188,6 @@ def _frame(arrays: dict[str, np.ndarray], outer: int, t_train: float) -> Frame:
             face=face,
         )
         return _plain_frame(surface, gaussians, box, outer, t_train)[0]
-    grid = arrays["grid"]
-    x, y, z = grid[3:6].astype(int).tolist()
     snapshot = Snapshot(
         surface=surface,
         gaussians=Gaussians(
@@ -171,15 +199,13 @@ def _frame(arrays: dict[str, np.ndarray], outer: int, t_train: float) -> Frame:
             face=face,
         ),
         box=box,
-        grid=Grid(
-            origin=(grid[0], grid[1], grid[2]), base_shape=(x, y, z), base_cell=float(grid[6]), level=int(grid[7])
-        ),
-        cells=tensor("cells", torch.int64),
+        cells=cells,
     )
     return frame_of(snapshot, outer=outer, t_train=t_train)
 
 
-def _cells(keys: Int64[Tensor, " c"], grid: Grid, box: Box) -> Cells:
+def _cells_in_world(cells: SurfaceCells, box: Box) -> Cells:
+    keys, grid = cells.keys.cpu(), cells.grid
     level = levels_of(keys)
     side = grid.base_cell / (2.0 ** level.double())
     low = torch.tensor(grid.origin, dtype=torch.float64) + unpack_ijk(keys).double() * side[:, None]
@@ -188,6 +214,10 @@ def _cells(keys: Int64[Tensor, " c"], grid: Grid, box: Box) -> Cells:
         side=(side * box.scale).numpy().astype(np.float32),
         level=level.numpy(),
     )
+
+
+def _bytes(colors: Float[np.ndarray, "n 3"]) -> UInt8[np.ndarray, "n 3"]:
+    return (255 * colors.clip(0, 1)).astype(np.uint8)
 
 
 def _plain(tensor: Tensor, dtype: Any) -> np.ndarray:

@@ -13,6 +13,7 @@ from sculpt_framework.engine.run import EVENTS_NAME, MESH_NAME, read_config, run
 from sculpt_framework.errors import SculptError
 from sculpt_framework.export.gaussian_files import read_gaussians_ply
 from sculpt_framework.export.mesh_files import read_colored_mesh
+from sculpt_framework.sculpting.config import SculptingConfig
 from sculpt_framework.types import Scene
 from sculpt_framework.viewing.frames import FOLDER, LIVE, Frame, read_frame, step_files
 
@@ -115,6 +116,11 @@ class RunFolder:
             if not steps:
                 raise
             return read_frame(steps[-1][1])
+
+    @property
+    def low_pass_px2(self) -> float:
+        """That Gaussians of the run are drawn with."""
+        return self.config.trainer.low_pass_px2 if isinstance(self.config, SculptingConfig) else 0.0
 
     def _result(self) -> Frame:
         vertices, faces, colors = read_colored_mesh(self.folder / MESH_NAME)

@@ -26,8 +26,8 @@ ENGINES = {
     "slurm": ("--engine", "slurm", "--slurm-executor", "local", "--cpus-per-run", "1", "--workers", "2"),
 }
 SMALL = (
-    *("--trainer.outer-steps", "6", "--trainer.base-cells", "10", "--trainer.fit-steps", "20"),
-    *("--trainer.polish-steps", "2", "--trainer.checkpoint-seconds", "0.01"),
+    *("--steps", "6", "--trainer.base-cells", "10", "--trainer.fit-steps", "20"),
+    *("--trainer.polish-steps", "2", "--checkpoint-seconds", "0.01"),
 )
 
 

@@ -13,12 +13,10 @@ from sculpt_framework.config import (
     FieldConfig,
     InitializerConfig,
     LossConfig,
-    MethodConfig,
     ObserverConfig,
     RasterizerConfig,
-    StageConfig,
-    TrainerConfig,
 )
+from sculpt_framework.sculpting.config import SculptingConfig, StageConfig, TrainerConfig
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -165,13 +163,13 @@ class DiaryConfig(ObserverConfig):
         raise NotImplementedError
 
 
-def fake() -> MethodConfig:
+def fake() -> SculptingConfig:
     """A method that cannot train.
 
     It is there for tests.
     """
     stage = StageConfig(share=1.0, level=0, image_scale=0.5, inner_steps=2, outer_views=1)
-    return MethodConfig(
+    return SculptingConfig(
         method="fake",
         field=PlainConfig(radius=0.25),
         extractor=CubesConfig(),
@@ -183,5 +181,6 @@ def fake() -> MethodConfig:
         losses=(LikenessConfig(weight=3.0), OutlineConfig()),
         constraints=(TightConfig(),),
         observers=(DiaryConfig(),),
-        trainer=TrainerConfig(outer_steps=10, stages=(stage, stage), base_cells=16),
+        steps=10,
+        trainer=TrainerConfig(stages=(stage, stage), base_cells=16),
     )

@@ -50,8 +50,8 @@ MISTAKES = {
         "--constraints.even.weight belongs to constraint 'even', which this run does not use. "
         "Add --constraints tight even."
     ),
-    "fake --data x --trainer.outer-step 3": (
-        "there is no option --trainer.outer-step. Did you mean --trainer.outer-steps? --help lists them all."
+    "fake --data x --trainer.base-cell 3": (
+        "there is no option --trainer.base-cell. Did you mean --trainer.base-cells? --help lists them all."
     ),
     "fake --data x --losses.outline.wieght=3": (
         "there is no option --losses.outline.wieght. Did you mean --losses.outline.weight? --help lists them all."

@@ -132,9 +132,9 @@ def test_mistakes_cost_nothing(words: str, message: str, place: Path):
     [
         ("blender", "the suite blender needs the folder of the data"),
         ("demo --methods a a", "each once"),
-        ("demo --max-time 3 --outer-steps 4", "expected one of the two"),
+        ("demo --max-time 3 --steps 4", "expected one of the two"),
         ("demo --max-time inf", "expected seconds above 0"),
-        ("demo --outer-steps 0", "expected 1 or more"),
+        ("demo --steps 0", "expected 1 or more"),
         ("demo --methods gaussian-sculpting nothing", "there is no method 'nothing'"),
     ],
 )

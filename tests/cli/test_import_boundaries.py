@@ -82,8 +82,11 @@ def test_pure_functions_know_nothing_of_the_engine(folder: str):
     assert not offences(FRAMEWORK / folder, *(f"sculpt_framework.{name}" for name in above))
 
 
-def test_the_engine_knows_neither_command_line_nor_viewer():
-    assert not offences(FRAMEWORK / "engine", "sculpt_framework.cli", "viser", "rich", "tyro")
+def test_the_engine_knows_neither_command_line_nor_viewer_nor_the_method():
+    assert not offences(
+        FRAMEWORK / "engine", "sculpt_framework.cli", "sculpt_framework.sculpting", "viser", "rich", "tyro"
+    )
+    assert not offences(FRAMEWORK / "evaluation", "sculpt_framework.engine", "sculpt_framework.sculpting")
 
 
 @pytest.mark.parametrize("folder", SLOT_FOLDERS)

@@ -74,7 +74,7 @@ def test_it_trains(installed: Path, tmp_path: Path):
     settings = DemoSettings(train_views=12, test_views=1, resolution=48, reference_cells=16)
     write_scene(demo_object("blob"), settings, tmp_path / "scene")
     (tmp_path / "scene" / "gt_mesh.ply").unlink()  # measuring against it takes longer than the rest
-    short = "--trainer.outer-steps 2 --trainer.fit-steps 100 --trainer.polish-steps 1 --trainer.base-cells 10"
+    short = "--steps 2 --trainer.fit-steps 100 --trainer.polish-steps 1 --trainer.base-cells 10"
     done = sculpt_train(
         f"siren-sculpting --data scene --output run --rasterizer reference {short}", installed, tmp_path
     )

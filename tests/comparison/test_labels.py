@@ -37,11 +37,11 @@ def test_a_swapped_component_is_named_alone(tmp_path: Path):
 def test_an_option_is_named_with_its_value(tmp_path: Path):
     write_run(tmp_path / "a", ROWS)
     write_run(tmp_path / "b", ROWS, config=changed("trainer", warm_start=False))
-    write_run(tmp_path / "c", ROWS, config=changed("trainer", outer_steps=9))
+    write_run(tmp_path / "c", ROWS, config={**CONFIG, "steps": 9})
     assert methods(tmp_path) == [
-        "outer-steps 4, warm-start on",
-        "outer-steps 4, warm-start off",
-        "outer-steps 9, warm-start on",
+        "steps 4, warm-start on",
+        "steps 4, warm-start off",
+        "steps 9, warm-start on",
     ]
 
 

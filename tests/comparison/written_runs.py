@@ -18,7 +18,8 @@ CONFIG = {
     "field": {"type": "hash-grid", "num_levels": 7},
     "extractor": {"type": "flexicubes"},
     "losses": [{"type": "photometric", "weight": 1.0}],
-    "trainer": {"outer_steps": 4, "warm_start": True},
+    "steps": 4,
+    "trainer": {"warm_start": True},
 }
 
 

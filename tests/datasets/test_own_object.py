@@ -53,7 +53,7 @@ def test_four_steps(tmp_path: Path):
     # What was found is read in place of being found again.
     assert "24 of 24 images have a mask in a file of its own" in _run(["sculpt-data", "inspect", "scene"], tmp_path)
     assert train[1] == "gaussian-sculpting"
-    _run([train[0], "gaussian-sculpting-tiny", *train[2:], "--trainer.outer-steps", "8"], tmp_path)
+    _run([train[0], "gaussian-sculpting-tiny", *train[2:], "--steps", "8"], tmp_path)
     for words in exports:
         _run(words, tmp_path)
     (mesh,) = trimesh.load_scene(tmp_path / "outputs/mine/mesh-20000-textured.glb").geometry.values()

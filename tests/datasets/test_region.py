@@ -11,7 +11,6 @@ from layouts import make_shots, write_idr
 from silhouettes import ball_views
 
 from sculpt_framework.demo_scenes.cameras import demo_cameras
-from sculpt_framework.engine.images import prepare_image
 from sculpt_framework.errors import DataError
 from sculpt_framework.posed_images.box import fit_box
 from sculpt_framework.posed_images.carving import admits, outline_of
@@ -19,6 +18,7 @@ from sculpt_framework.posed_images.clues import Clues
 from sculpt_framework.posed_images.contact_sheet import thumbnail
 from sculpt_framework.posed_images.findings import findings
 from sculpt_framework.posed_images.projected_box import box_edges, box_outline
+from sculpt_framework.sculpting.images import prepare_image
 from sculpt_framework.types import Box, Camera, View
 from sculpt_plugins.datasets.idr.config import IdrConfig
 

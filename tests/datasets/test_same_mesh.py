@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from layouts import WRITERS, make_shots
 
-from sculpt_framework.config import MethodConfig, StageConfig
-from sculpt_framework.engine.pipeline import Pipeline
+from sculpt_framework.config import MethodConfig
+from sculpt_framework.engine.session import Session
 from sculpt_framework.evaluation.geometry import chamfer
+from sculpt_framework.sculpting.config import StageConfig
 from sculpt_framework.sculpting.reconstruction import Reconstruction
 from sculpt_methods.sculpting import gaussian_sculpting_tiny
 from sculpt_plugins.datasets.auto.config import AutoDatasetConfig
@@ -20,8 +21,8 @@ FIRST = "NeRF-Synthetic"
 def _method(seed: int) -> MethodConfig:
     base = gaussian_sculpting_tiny()
     stage = StageConfig(share=1.0, level=0, image_scale=1.0, inner_steps=2, outer_views=2)
-    trainer = replace(base.trainer, outer_steps=6, base_cells=12, polish_steps=0, stages=(stage,))
-    return replace(base, observers=(), data="written", seed=seed, trainer=trainer)
+    trainer = replace(base.trainer, base_cells=12, polish_steps=0, stages=(stage,))
+    return replace(base, observers=(), data="written", seed=seed, steps=6, trainer=trainer)
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +33,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 def _train(folder: Path, seed: int = 0) -> Reconstruction:
     scene = AutoDatasetConfig().build(str(folder)).load()
-    return Pipeline(_method(seed), scene=scene, emit=lambda event: None).train()
+    return Session(scene, _method(seed)).run()
 
 
 @pytest.fixture(scope="module")

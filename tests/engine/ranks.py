@@ -28,8 +28,8 @@ from small_runs import ONE_STAGE, small_config
 from sculpt_framework.cli import exit_codes
 from sculpt_framework.config import MethodConfig
 from sculpt_framework.engine import parallel_ranks  # noqa: F401 (here, so that no job has to)
-from sculpt_framework.engine.pipeline import Pipeline
 from sculpt_framework.engine.run import run
+from sculpt_framework.engine.session import Session
 from sculpt_framework.serialization import read_config
 from sculpt_plugins.datasets.blender.config import BlenderConfig
 from sculpt_plugins.observers.recorder.config import RecorderConfig
@@ -99,11 +99,11 @@ def work_as(rank: int, count: int, port: int, job: dict[str, Any], scene: str, w
 
 def kill_at(outer: int, share: float) -> None:
     """Die within the outer step after so many, before its first sum (share 0) or its last (share 1)."""
-    whole = Pipeline._step
+    whole = Session._take_step
 
-    def step(self: Pipeline, *words: Any) -> None:
-        if self.outer == outer:
-            processes, calls = self._trainer.processes, [0]
+    def step(self: Session, *words: Any) -> Any:
+        if self.step == outer:
+            processes, calls = self.processes, [0]
             reduce = processes.reduce
 
             def dying(*given: Any) -> Any:
@@ -114,13 +114,13 @@ def kill_at(outer: int, share: float) -> None:
                 return reduce(*given)
 
             processes.reduce = dying
-        whole(self, *words)
+        return whole(self, *words)
 
-    Pipeline._step = step
+    Session._take_step = step
 
 
 def config_of(job: dict[str, Any], scene: str, work: Path) -> MethodConfig:
-    changes: dict[str, Any] = {"outer_steps": 6, "stages": ONE_STAGE, "inner_batch": 2, "checkpoint_seconds": 1e6}
+    changes: dict[str, Any] = {"steps": 6, "stages": ONE_STAGE, "inner_batch": 2, "checkpoint_seconds": 1e6}
     return small_config(
         data=scene,
         dataset=BlenderConfig(),

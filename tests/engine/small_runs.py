@@ -1,17 +1,19 @@
 """Runs of seconds: a small scene, small components, few steps."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import torch
 
 from sculpt_framework import registry
-from sculpt_framework.config import MethodConfig, StageConfig
-from sculpt_framework.engine.images import prepare_image
-from sculpt_framework.engine.pipeline import Pipeline
+from sculpt_framework.engine.session import Session
 from sculpt_framework.events import Event
 from sculpt_framework.geometry.band import discover
 from sculpt_framework.losses import TrainingImage
 from sculpt_framework.sculpting.assembly import Parts, build_parts
+from sculpt_framework.sculpting.config import SculptingConfig, StageConfig, of_sculpting
+from sculpt_framework.sculpting.images import prepare_image
+from sculpt_framework.sculpting.method import Sculpting
 from sculpt_framework.sculpting.reconstruction import Reconstruction
 from sculpt_framework.types import Scene
 from sculpt_plugins.appearances.color_field.config import ColorFieldConfig
@@ -31,10 +33,10 @@ TWO_STAGES = (
 ONE_STAGE = (StageConfig(share=1.0, level=0, image_scale=1.0, inner_steps=2, outer_views=2),)
 
 
-def small_config(**changes: object) -> MethodConfig:
+def small_config(**changes: object) -> SculptingConfig:
     """The tiny method made smaller still. Names of fields of the trainer change the trainer, others the method."""
-    base = registry.load_method("gaussian-sculpting-tiny")()
-    trainer = replace(base.trainer, outer_steps=8, base_cells=10, fit_steps=60, polish_steps=4, stages=ONE_STAGE)
+    base = of_sculpting(registry.load_method("gaussian-sculpting-tiny")())
+    trainer = replace(base.trainer, base_cells=10, fit_steps=60, polish_steps=4, stages=ONE_STAGE)
     inside = {name: value for name, value in changes.items() if name in type(trainer).__dataclass_fields__}
     around = {name: value for name, value in changes.items() if name not in inside}
     return replace(
@@ -44,13 +46,14 @@ def small_config(**changes: object) -> MethodConfig:
             "appearance": ColorFieldConfig(num_levels=3, log2_table=12, finest_resolution=32),
             "observers": (),
             "trainer": replace(trainer, **inside),
+            "steps": 8,
             "data": "small",
             **around,
         },
     )
 
 
-def on_a_sphere(config: MethodConfig, scene: Scene) -> tuple[Parts, list[TrainingImage]]:
+def on_a_sphere(config: SculptingConfig, scene: Scene) -> tuple[Parts, list[TrainingImage]]:
     """Components on a sphere, as the hash grid is built, with images to learn from."""
     parts = build_parts(config, scene.box, torch.Generator().manual_seed(0))
     trainer = parts.trainer
@@ -72,6 +75,21 @@ class Outcome:
         return [event.data["loss"] for event in self.of("outer_step")]
 
 
-def train(config: MethodConfig, scene: Scene) -> Outcome:
+def train(config: SculptingConfig, scene: Scene) -> Outcome:
     events: list[Event] = []
-    return Outcome(result=Pipeline(config, scene=scene, emit=events.append).train(), events=events)
+    session = Session(scene, config, emit=events.append)
+    return Outcome(result=finished(session), events=events)
+
+
+def method_of(session: Session) -> Sculpting:
+    """What a session hosts, in these runs."""
+    assert isinstance(session.reconstructor, Sculpting)
+    return session.reconstructor
+
+
+def finished(session: Session, stop: Callable[[], bool] = lambda: False) -> Reconstruction:
+    """What the session ends with, told to stop where ``stop`` says so after the start or a step."""
+    for _ in session:
+        if stop():
+            session.stop()
+    return method_of(session).reconstruction()

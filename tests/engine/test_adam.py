@@ -65,12 +65,12 @@ def test_a_run_does_not_load_torchs_compiler():
         "import sys\n"
         "from dataclasses import replace\n"
         "from sculpt_framework import registry\n"
-        "from sculpt_framework.engine.pipeline import Pipeline\n"
+        "from sculpt_framework.engine.session import Session\n"
         "from sculpt_framework.stress.small import small_scene\n"
         "config = registry.load_method('gaussian-sculpting-tiny')()\n"
-        "trainer = replace(config.trainer, outer_steps=1, polish_steps=1, fit_steps=2)\n"
-        "config = replace(config, trainer=trainer, observers=(), data='none')\n"
-        "Pipeline(config, scene=small_scene(pixels=32)).train()\n"
+        "trainer = replace(config.trainer, polish_steps=1, fit_steps=2)\n"
+        "config = replace(config, steps=1, trainer=trainer, observers=(), data='none')\n"
+        "Session(small_scene(pixels=32), config).run()\n"
         "sys.exit('torch._dynamo' in sys.modules)\n"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)

@@ -9,7 +9,7 @@ import pytest
 
 OPTIONS = (
     "--dataset demo --dataset.resolution 48 --dataset.train-views 10 --dataset.test-views 2 "
-    "--trainer.outer-steps 4 --trainer.fit-steps 30 --trainer.polish-steps 4"
+    "--steps 4 --trainer.fit-steps 30 --trainer.polish-steps 4"
 )
 FILES = [
     "checkpoints",

@@ -6,17 +6,17 @@ from pathlib import Path
 
 import pytest
 import torch
-from small_runs import TWO_STAGES, small_config
+from small_runs import TWO_STAGES, method_of, small_config
 
 from sculpt_framework import memory
-from sculpt_framework.engine.images import prepare_image
-from sculpt_framework.engine.pipeline import Pipeline
+from sculpt_framework.engine.session import Session
 from sculpt_framework.errors import DataError, TrainingFailed
 from sculpt_framework.evaluation.certificate import certify
 from sculpt_framework.events import Event
 from sculpt_framework.geometry.band import cells_at_level, discover
 from sculpt_framework.memory import available_bytes, in_words, peak_bytes
 from sculpt_framework.sculpting import foresight
+from sculpt_framework.sculpting.images import prepare_image
 from sculpt_framework.types import Scene
 from sculpt_plugins.datasets.blender.config import BlenderConfig
 
@@ -108,31 +108,31 @@ def test_images_that_do_not_fit_are_refused_before_they_are_read(scene_folder: P
 
 
 @pytest.fixture
-def begun(scene: Scene) -> Pipeline:
+def begun(scene: Scene) -> Session:
     """A run that knows where its surface is and has taken no step."""
-    pipeline = Pipeline(small_config(), scene=scene)
-    trainer = pipeline.parts.trainer
+    session = Session(scene, small_config())
+    trainer = method_of(session).trainer
     trainer.seeds = discover(trainer.signed_distance, trainer.extractor.grid, coarse_level=0, lipschitz=1.5)
-    return pipeline
+    return session
 
 
-def checked(pipeline: Pipeline, left: int | None, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+def checked(session: Session, left: int | None, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """What a run is warned of before its only stage, on a machine with so much memory left."""
     monkeypatch.setattr(foresight, "available_bytes", lambda: left)
     warned: list[str] = []
-    scene, (stage,) = pipeline.scene, pipeline.config.trainer.stages
-    foresight.check_memory(pipeline.parts.trainer, scene.train, scene.box, stage, 0, warned.append)
+    scene, (stage,) = session.scene, method_of(session).config.trainer.stages
+    foresight.check_memory(method_of(session).trainer, scene.train, scene.box, stage, 0, warned.append)
     return warned
 
 
 def test_a_step_that_may_not_fit_is_warned_of_and_one_that_cannot_is_not_begun(
-    begun: Pipeline, monkeypatch: pytest.MonkeyPatch
+    begun: Session, monkeypatch: pytest.MonkeyPatch
 ):
     scene = begun.scene
     images = [prepare_image(view, scene.box, 1.0, torch.device("cpu")) for view in scene.train]
     kept = sum(image.premultiplied.nbytes + (0 if image.alpha is None else image.alpha.nbytes) for image in images)
     largest = max(image.camera.width * image.camera.height for image in images)
-    step = foresight.step_bytes(foresight.sizes(begun.parts.trainer, largest))
+    step = foresight.step_bytes(foresight.sizes(method_of(begun).trainer, largest))
     assert checked(begun, None, monkeypatch) == []
     assert checked(begun, kept + step, monkeypatch) == []
     (warning,) = checked(begun, kept + step - 1, monkeypatch)
@@ -142,8 +142,8 @@ def test_a_step_that_may_not_fit_is_warned_of_and_one_that_cannot_is_not_begun(
         checked(begun, kept + step // 3, monkeypatch)
 
 
-def test_cells_of_the_next_level_are_foreseen(begun: Pipeline):
-    trainer = begun.parts.trainer
+def test_cells_of_the_next_level_are_foreseen(begun: Session):
+    trainer = method_of(begun).trainer
     trainer.extract()
     now = foresight.sizes(trainer, 0)
     assert trainer.extraction is not None
@@ -168,10 +168,10 @@ def test_a_stage_that_does_not_fit_leaves_the_mesh_of_the_one_before(scene: Scen
 
     monkeypatch.setattr(foresight, "available_bytes", left)
     events: list[Event] = []
-    pipeline = Pipeline(small_config(stages=TWO_STAGES, outer_steps=2), scene=scene, emit=events.append)
-    result = pipeline.train()
+    session = Session(scene, small_config(stages=TWO_STAGES, steps=2), emit=events.append)
+    result = session.run()
     assert [event.data["index"] for event in events if event.event == "stage"] == [0]
-    assert pipeline.failure is not None
-    assert "stage 1 needs about" in pipeline.failure
-    assert "lower --trainer.stages.1." in pipeline.failure
+    assert session.failure is not None
+    assert "stage 1 needs about" in session.failure
+    assert "lower --trainer.stages.1." in session.failure
     assert certify(result.vertices, result.faces).watertight

@@ -8,9 +8,9 @@ import torch
 from small_runs import ONE_STAGE, on_a_sphere, small_config
 from torch import Tensor
 
-from sculpt_framework.config import TrainerConfig
 from sculpt_framework.losses import TrainingImage
 from sculpt_framework.sculpting.assembly import Parts
+from sculpt_framework.sculpting.config import TrainerConfig
 from sculpt_framework.sculpting.falling import Falling
 from sculpt_framework.sculpting.still_faces import StillFaces
 from sculpt_framework.types import Scene, Surface

@@ -15,17 +15,18 @@ import pytest
 import torch
 from safetensors import safe_open
 from safetensors.torch import save_file
-from small_runs import ONE_STAGE, TWO_STAGES, small_config, train
+from small_runs import ONE_STAGE, TWO_STAGES, finished, small_config, train
 from torch import Tensor
 
 from sculpt_framework.cli.data import write_masks
 from sculpt_framework.config import MethodConfig
 from sculpt_framework.engine import steering as steering_module
 from sculpt_framework.engine.checkpoint import read_checkpoint, write_checkpoint
-from sculpt_framework.engine.measuring import Yardstick
+from sculpt_framework.engine.measuring import Evaluator
 from sculpt_framework.engine.milestones import Milestones
-from sculpt_framework.engine.pipeline import Pipeline
+from sculpt_framework.engine.progress import Progress
 from sculpt_framework.engine.run import load_finished, run, run_status
+from sculpt_framework.engine.session import Session
 from sculpt_framework.engine.steering import Steering
 from sculpt_framework.errors import CheckpointError, OutputError, TrainingFailed
 from sculpt_framework.evaluation.certificate import certify
@@ -33,7 +34,8 @@ from sculpt_framework.evaluation.curve import read_curve
 from sculpt_framework.evaluation.mesh import load_mesh
 from sculpt_framework.events import Event
 from sculpt_framework.export import atomic
-from sculpt_framework.sculpting.state import Progress
+from sculpt_framework.reconstructor import Moment, StepReport
+from sculpt_framework.sculpting.method import Sculpting
 from sculpt_framework.sculpting.trainer import BiLevelTrainer
 from sculpt_framework.types import Scene
 from sculpt_framework.viewing.run_folder import RunFolder
@@ -44,9 +46,9 @@ from sculpt_plugins.observers.recorder.config import RecorderConfig
 
 LEARNABLE = FlexiCubesConfig(split="center", learn_weights=True, learn_deformation=True)
 VARIANTS = {
-    "default": small_config(outer_steps=6, stages=TWO_STAGES),
-    "learnable": small_config(outer_steps=6, stages=TWO_STAGES, extractor=LEARNABLE, appearance=PerGaussianConfig()),
-    "still faces": small_config(outer_steps=6, stages=TWO_STAGES, still_cells=0.02),
+    "default": small_config(steps=6, stages=TWO_STAGES),
+    "learnable": small_config(steps=6, stages=TWO_STAGES, extractor=LEARNABLE, appearance=PerGaussianConfig()),
+    "still faces": small_config(steps=6, stages=TWO_STAGES, still_cells=0.02),
 }
 Saved = tuple[Mapping[str, Tensor], Progress]
 
@@ -60,10 +62,8 @@ def stopped_after(config: MethodConfig, scene: Scene, steps: int, saved: Saved |
         nonlocal outer
         outer += event.event == "outer_step"
 
-    pipeline = Pipeline(
-        config, scene=scene, emit=count, should_stop=lambda: outer >= steps, save=lambda *state: kept.append(state)
-    )
-    pipeline.train(saved)
+    session = Session(scene, config, emit=count, save_state=lambda *state: kept.append(state), saved=saved)
+    finished(session, lambda: outer >= steps)
     return kept[-1]
 
 
@@ -77,7 +77,7 @@ def test_a_resumed_run_ends_as_an_unbroken_one(scene: Scene, variant: str, tmp_p
         write_checkpoint(tmp_path, *stopped_after(config, scene, steps, saved))
         saved = read_checkpoint(tmp_path)
     assert saved[1].outer == 4
-    resumed = Pipeline(config, scene=scene).train(saved)
+    resumed = finished(Session(scene, config, saved=saved))
     np.testing.assert_array_equal(whole.vertices, resumed.vertices)
     np.testing.assert_array_equal(whole.faces, resumed.faces)
     np.testing.assert_array_equal(whole.colors, resumed.colors)
@@ -90,13 +90,14 @@ def test_measuring_saving_and_watching_leave_training_as_it_is(
     plain = train(config, scene).result
     due = Milestones.due
     monkeypatch.setattr(Milestones, "due", lambda self, *where: due(self, *where) or "time")
-    hasty = replace(config, trainer=replace(config.trainer, checkpoint_seconds=0.0))
+    hasty = replace(config, checkpoint_seconds=0.0)
     events: list[Event] = []
-    pipeline = Pipeline(hasty, scene=scene, save=lambda *state: None, should_stop=lambda: steering())
+    session = Session(scene, hasty, emit=events.append, save_state=lambda *state: None)
     monkeypatch.setattr(steering_module, "_SNAPSHOT_SHARE", 1e9)
-    steering = Steering(pipeline, emit=events.append, folder=tmp_path, snapshot_seconds=0.0)
-    watched = pipeline.train()
-    assert [event.event for event in events] == ["snapshot"] * (config.trainer.outer_steps - 1)
+    steering = Steering(session, folder=tmp_path, snapshot_seconds=0.0)
+    watched = finished(session, steering)
+    # Of the start, and after every step.
+    assert sum(event.event == "snapshot" for event in events) == config.steps + 1
     np.testing.assert_array_equal(plain.vertices, watched.vertices)
 
 
@@ -112,7 +113,8 @@ def test_time_left_is_the_share_that_was_left(scene: Scene):
     events: list[Event] = []
     # Within this time nothing can be trained any more: what was done counts, and no stage is gone back to.
     config = small_config(stages=TWO_STAGES, max_time=1.0)
-    Pipeline(config, scene=scene, emit=events.append).train((state, replace(progress, progress=0.6)))
+    saved = (state, replace(progress, progress=0.6))
+    Session(scene, config, emit=events.append, started=time.monotonic() - 60.0, saved=saved).run()
     assert next(event.data["index"] for event in events if event.event == "stage") == int(state["stage"])
     assert all(event.data["progress"] >= 0.6 for event in events if event.event == "evaluation")
 
@@ -123,8 +125,8 @@ def test_a_curve_that_is_level_ends_a_run_early(
 ):
     monkeypatch.setattr(Milestones, "gain", lambda self: -1.0)
     events: list[Event] = []
-    config = small_config(max_time=limit, outer_steps=4, level_gain_db=level_gain_db, polish_steps=0)
-    Pipeline(config, scene=scene, emit=events.append, started=time.monotonic()).train()
+    config = small_config(max_time=limit, steps=4, level_gain_db=level_gain_db, polish_steps=0)
+    Session(scene, config, emit=events.append).run()
     told = [event for event in events if event.event == "decision" and event.data["item"] == "time"]
     if level_gain_db == 0.0:
         # Not asked for: all the time is taken.
@@ -146,23 +148,23 @@ def test_an_earlier_state_is_kept_if_it_is_clearly_better(
 ):
     """The last one has lower rates behind it; a tenth of a decibel on a few held-out views is chance."""
     events: list[Event] = []
-    pipeline = Pipeline(small_config(outer_steps=4, polish_steps=0), scene=scene, emit=events.append)
-    measure = Yardstick.measure
+    session = Session(scene, small_config(steps=4, polish_steps=0), emit=events.append)
+    measure = Evaluator.measure
 
-    def scripted(yardstick: Yardstick, *words: Any) -> dict[str, Any]:
-        return {**measure(yardstick, *words), "psnr": 30.0 - lead_db * (pipeline.outer == 4)}
+    def scripted(evaluator: Evaluator, *words: Any) -> dict[str, Any]:
+        return {**measure(evaluator, *words), "psnr": 30.0 - lead_db * (session.step == 4)}
 
-    monkeypatch.setattr(Yardstick, "measure", scripted)
-    pipeline.train()
+    monkeypatch.setattr(Evaluator, "measure", scripted)
+    session.run()
     told = [event for event in events if event.event == "decision" and event.data["item"] == "kept state"]
     assert bool(told) is gone_back
 
 
 def test_a_slow_start_takes_nothing_from_the_rates(scene: Scene, monkeypatch: pytest.MonkeyPatch):
     """A tenth of the time given is gone when optimisation begins; it begins with full rates."""
-    from sculpt_framework.engine import pipeline as pipeline_module
+    from sculpt_framework.sculpting import method
 
-    fit, settle = pipeline_module.fit_to_views, BiLevelTrainer.settle
+    fit, settle = method.fit_to_views, BiLevelTrainer.settle
     rates: list[float] = []
 
     def slow_fit(*arguments: Any) -> float:
@@ -173,10 +175,10 @@ def test_a_slow_start_takes_nothing_from_the_rates(scene: Scene, monkeypatch: py
         rates.append(rate)
         return settle(trainer, images, stage, rate, warm)
 
-    monkeypatch.setattr(pipeline_module, "fit_to_views", slow_fit)
+    monkeypatch.setattr(method, "fit_to_views", slow_fit)
     monkeypatch.setattr(BiLevelTrainer, "settle", watched)
     config = small_config(max_time=60.0, polish_steps=0)
-    Pipeline(config, scene=scene, should_stop=lambda: bool(rates), started=time.monotonic()).train()
+    finished(Session(scene, config), lambda: bool(rates))
     assert rates[0] > 0.9
     assert config.trainer.final_rate**0.1 < 0.9
 
@@ -191,7 +193,7 @@ def config(scene_folder: Path, tmp_path: Path) -> MethodConfig:
         dataset=BlenderConfig(),
         observers=(RecorderConfig(),),
         output=tmp_path / "run",
-        outer_steps=4,
+        steps=4,
     )
 
 
@@ -201,14 +203,14 @@ def files_of(folder: Path) -> dict[str, bytes]:
 
 def interrupt_after(monkeypatch: pytest.MonkeyPatch, steps: int) -> None:
     """A Ctrl-C in the middle of an outer step."""
-    original = Pipeline._step
+    original = Sculpting.step
 
-    def step(self: Pipeline, *arguments: object) -> None:
-        if self.outer == steps:
+    def step(self: Sculpting, moment: Moment) -> StepReport:
+        if moment.step == steps:
             os.kill(os.getpid(), signal.SIGINT)
-        original(self, *arguments)
+        return original(self, moment)
 
-    monkeypatch.setattr(Pipeline, "_step", step)
+    monkeypatch.setattr(Sculpting, "step", step)
 
 
 def test_ctrl_c_saves_and_resume_ends_as_if_unbroken(
@@ -221,7 +223,7 @@ def test_ctrl_c_saves_and_resume_ends_as_if_unbroken(
         run(config, resume=None, started=0.0)
     assert run_status(folder) == "stopped"
     assert certify(load_mesh(folder / "mesh.ply").vertices, load_mesh(folder / "mesh.ply").faces).watertight
-    assert len(load_finished(folder).gaussians) > 0
+    assert load_finished(folder).test_measures()["psnr"] > 10
 
     run(config, resume=folder, started=0.0)
     assert run_status(folder) == "finished"
@@ -312,7 +314,7 @@ def test_one_nan_is_recovered_from(scene: Scene, monkeypatch: pytest.MonkeyPatch
 
 def test_the_last_step_may_be_the_one_that_fails(scene: Scene, monkeypatch: pytest.MonkeyPatch):
     Poison(when=(8,)).install(monkeypatch)
-    outcome = train(small_config(outer_steps=8), scene)
+    outcome = train(small_config(steps=8), scene)
     assert len(outcome.of("recovered")) == 1
     assert np.isfinite(outcome.result.vertices).all()
 
@@ -320,7 +322,7 @@ def test_the_last_step_may_be_the_one_that_fails(scene: Scene, monkeypatch: pyte
 def test_repeated_failure_ends_with_the_best_mesh_so_far(config: MethodConfig, monkeypatch: pytest.MonkeyPatch):
     Poison(when=range(2, 100)).install(monkeypatch)
     with pytest.raises(TrainingFailed, match=r"cannot go on after .* best mesh until then is .*mesh\.ply"):
-        run(replace(config, trainer=replace(config.trainer, outer_steps=30)), resume=None, started=0.0)
+        run(replace(config, steps=30), resume=None, started=0.0)
     assert config.output is not None
     assert run_status(config.output) == "failed"
     mesh = load_mesh(config.output / "mesh.ply")
@@ -460,7 +462,7 @@ def test_a_full_disk_keeps_the_old_checkpoint(checkpoint: Path, monkeypatch: pyt
 def test_a_checkpoint_of_other_components_is_one_line(scene: Scene):
     saved = stopped_after(small_config(), scene, 2)
     with pytest.raises(CheckpointError, match=r"does not fit the run's config\.json"):
-        Pipeline(small_config(appearance=PerGaussianConfig()), scene=scene).train(saved)
+        Session(scene, small_config(appearance=PerGaussianConfig()), saved=saved).run()
 
 
 def test_a_start_that_takes_all_the_time_is_told_of(scene: Scene, monkeypatch: pytest.MonkeyPatch):
@@ -474,7 +476,7 @@ def test_a_start_that_takes_all_the_time_is_told_of(scene: Scene, monkeypatch: p
     monkeypatch.setattr(BiLevelTrainer, "inner_loop", watched)
     events: list[Event] = []
     config = small_config(max_time=1.0, warm_up_steps=300, polish_steps=0)
-    Pipeline(config, scene=scene, emit=events.append, started=time.monotonic() - 60.0).train()
+    Session(scene, config, emit=events.append, started=time.monotonic() - 60.0).run()
     [warning] = [event.data["message"] for event in events if event.event == "warning"]
     assert warning.startswith("--max-time 1 was over before the start was made")
     assert events[-1].outer == 0

@@ -5,6 +5,7 @@ import json
 import time
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,14 +16,16 @@ from small_runs import TWO_STAGES, small_config, train
 
 from sculpt_framework.engine.clock import TrainingClock
 from sculpt_framework.engine.inputs import file_digest, input_digests
-from sculpt_framework.engine.pipeline import Pipeline
 from sculpt_framework.engine.run import run
-from sculpt_framework.engine.view_pictures import ERROR_LIMIT, face_errors
+from sculpt_framework.engine.session import Session
+from sculpt_framework.engine.view_pictures import ERROR_LIMIT, view_pictures
 from sculpt_framework.errors import DataError
 from sculpt_framework.evaluation.curve import read_curve
 from sculpt_framework.evaluation.geometry import MeasuredMesh
 from sculpt_framework.evaluation.mesh import Mesh, load_mesh
-from sculpt_framework.types import Box, Scene, Surface
+from sculpt_framework.evaluation.pictures import error_colors
+from sculpt_framework.export.drawn_mesh import draw_mesh_in_colors
+from sculpt_framework.types import Camera, Scene, View
 from sculpt_plugins.datasets.blender.config import BlenderConfig
 from sculpt_plugins.observers.recorder.config import RecorderConfig
 
@@ -77,7 +80,7 @@ def test_time_spent_measuring_is_not_training(scene: Scene, monkeypatch: pytest.
         return original(*arguments)
 
     monkeypatch.setattr(measuring, "image_measures", slow)
-    events = train(small_config(outer_steps=2), scene).of("evaluation")
+    events = train(small_config(steps=2), scene).of("evaluation")
     assert len(events) >= 3
     trained, passed = (events[-1].t_train - events[0].t_train), (events[-1].t_wall - events[0].t_wall)
     assert passed - trained > 0.25 * (len(events) - 1)
@@ -120,26 +123,29 @@ def test_a_file_that_is_gone_is_named(tmp_path: Path):
 # -- pictures --------------------------------------------------------------------------------------------------------
 
 
-def test_face_errors_are_distances_in_world_units():
-    """A triangle in the object frame of a box, above a large plate in the world."""
-    box = Box(minimum=torch.tensor([0.0, 0.0, 0.0]), maximum=torch.tensor([4.0, 4.0, 4.0]))
+def test_errors_are_drawn_in_the_color_of_their_distance():
+    """A triangle in front of a camera, one unit above a large plate: as dark as a distance of one is."""
     corners = np.array([[-9.0, -9, 1], [9, -9, 1], [9, 9, 1], [-9, 9, 1]])
     plate = MeasuredMesh(Mesh(vertices=corners, faces=np.array([[0, 1, 2], [0, 2, 3]])), samples=10)
-    surface = Surface(
-        vertices=torch.tensor([[0.0, 0, 0], [0.1, 0, 0], [0, 0.1, 0]]),
-        faces=torch.tensor([[0, 1, 2]]),
-        face_keys=torch.tensor([1]),
-    )
-    errors = face_errors(surface, box, plate)
-    assert errors.limit == pytest.approx(ERROR_LIMIT * (18**2 * 2) ** 0.5)
-    # The object frame's origin is the box's centre, 2 above 0, and the plate is at 1.
-    assert errors.shares * errors.limit == pytest.approx(1.0)
+    triangle = Mesh(vertices=np.array([[-1.0, -1, 2], [1, -1, 2], [0, 1, 2]]), faces=np.array([[0, 1, 2]]))
+    pose = torch.diag(torch.tensor([1.0, -1, -1, 1]))
+    pose[2, 3] = 6.0
+    camera = Camera(world_to_camera=pose, fx=20.0, fy=20.0, cx=8.0, cy=8.0, width=16, height=16)
+    view = View(name="one", camera=camera, rgb=torch.ones(16, 16, 3), alpha=None)
+    render = partial(draw_mesh_in_colors, triangle, np.zeros((3, 3), np.float32))
+    pictures = view_pictures(render, triangle, view, plate)
+    assert not pictures["rendering"][8, 8].any()
+    (errors,) = (picture for name, picture in pictures.items() if name.startswith("mesh error"))
+    limit = ERROR_LIMIT * (18**2 * 2) ** 0.5
+    np.testing.assert_allclose(errors[8, 8] / 255, error_colors(np.array([1 / limit]))[0], atol=0.01)
+    assert (errors[0, 0] == 255).all()
+    np.testing.assert_allclose(pictures["normals, world frame"][8, 8] / 255, [0.5, 0.5, 1.0], atol=0.01)
 
 
 def test_pictures_are_of_the_result_and_of_the_start(scene: Scene):
-    pipeline = Pipeline(small_config(outer_steps=3), scene=scene)
-    pipeline.train()
-    pages = pipeline.pictures()
+    session = Session(scene, small_config(steps=3))
+    session.run()
+    pages = session.pictures()
     assert list(pages) == ["Result", "Before training"]
     shape = scene.train[0].rgb.shape
     names = [name.split(":")[0] for name in pages["Result"]]
@@ -153,8 +159,8 @@ def test_pictures_are_of_the_result_and_of_the_start(scene: Scene):
     assert all(picture.shape == shape for page in pages.values() for picture in page.values())
     assert [*pages["Before training"]] == [*pages["Result"]][1:]
     assert (pages["Before training"]["rendering"] != pages["Result"]["rendering"]).any()
-    bare = Pipeline(small_config(outer_steps=1), scene=replace(scene, reference_mesh=None))
-    bare.train()
+    bare = Session(replace(scene, reference_mesh=None), small_config(steps=1))
+    bare.run()
     assert not any(name.startswith("mesh error") for name in bare.pictures()["Result"])
 
 
@@ -162,7 +168,7 @@ def test_pictures_are_of_the_result_and_of_the_start(scene: Scene):
 
 
 def test_without_a_reference_a_run_is_held_against_its_photographs(scene: Scene):
-    bare = train(small_config(outer_steps=2), replace(scene, reference_mesh=None))
+    bare = train(small_config(steps=2), replace(scene, reference_mesh=None))
     row, result = bare.of("evaluation")[-2].data, bare.of("evaluation")[-1].data
     for each in (row, result):
         assert each["pairs"] == 4  # Of eleven views all round most have no neighbour.
@@ -170,7 +176,7 @@ def test_without_a_reference_a_run_is_held_against_its_photographs(scene: Scene)
         assert 0 < each["judged"] <= 1
         assert 0 < each["roughness"] < 90
         assert each["psnr_fitted"] > each["psnr"] - 0.5
-    known = train(small_config(outer_steps=2), scene).of("evaluation")[-1].data
+    known = train(small_config(steps=2), scene).of("evaluation")[-1].data
     assert known.get("roughness") is None
 
 
@@ -181,7 +187,7 @@ def test_without_a_reference_a_run_is_held_against_its_photographs(scene: Scene)
 def twice(scene_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """Two runs of the same config and seed."""
     config = small_config(
-        data=str(scene_folder), dataset=BlenderConfig(), observers=(RecorderConfig(),), outer_steps=5, stages=TWO_STAGES
+        data=str(scene_folder), dataset=BlenderConfig(), observers=(RecorderConfig(),), steps=5, stages=TWO_STAGES
     )
     root = tmp_path_factory.mktemp("twice")
     for name in ("one", "two"):

@@ -83,13 +83,12 @@ def test_it_runs(paper: MethodConfig, scene: Scene):
     first, second = paper.trainer.stages
     trainer = replace(
         paper.trainer,
-        outer_steps=2,
         base_cells=10,
         fit_steps=3,
         polish_steps=5,
         stages=(replace(first, share=0.5, outer_views=2), replace(second, share=0.5, inner_steps=6, outer_views=2)),
     )
-    outcome = train(replace(paper, trainer=trainer, observers=(), data="small"), scene)
+    outcome = train(replace(paper, steps=2, trainer=trainer, observers=(), data="small"), scene)
     certificate = certify(outcome.result.vertices, outcome.result.faces)
     assert certificate.watertight
     assert certificate.outward

@@ -17,7 +17,7 @@ import torch
 from ranks import config_of
 from small_runs import small_config
 
-from sculpt_framework.engine.parallel import Alone, gather, shared_commands, with_batch
+from sculpt_framework.engine.parallel import Alone, gather, shared_commands
 from sculpt_framework.engine.run import run
 from sculpt_framework.errors import ConfigError, DeviceError
 from sculpt_framework.evaluation.mesh import Mesh, load_mesh
@@ -25,7 +25,7 @@ from sculpt_framework.serialization import read_config
 
 HERE = Path(__file__).parent
 Job = dict[str, Any]
-SHORT: dict[str, Any] = {"outer_steps": 4, "holdout_every": 0, "fit_steps": 20}
+SHORT: dict[str, Any] = {"steps": 4, "holdout_every": 0, "fit_steps": 20}
 TORCHRUN = {"RANK": "0", "WORLD_SIZE": "2", "LOCAL_RANK": "0", "LOCAL_WORLD_SIZE": "2", "MASTER_ADDR": "localhost"}
 
 
@@ -115,10 +115,9 @@ def test_a_dead_process_is_named_and_the_run_goes_on(
 def test_a_run_keeps_its_batch_whoever_goes_on_with_it(outcomes: tuple[dict[str, Job], Path]):
     _, work = outcomes
     assert read_config(work / "headless" / "config.json").trainer.inner_batch == 2
-    several = _Several()
-    assert with_batch(small_config(), several).trainer.inner_batch == 3
-    assert with_batch(small_config(inner_batch=5), several).trainer.inner_batch == 5
-    assert with_batch(small_config(), Alone()).trainer.inner_batch is None
+    assert small_config().among(3).trainer.inner_batch == 3
+    assert small_config(inner_batch=5).among(3).trainer.inner_batch == 5
+    assert small_config().among(1).trainer.inner_batch is None
 
 
 class _Several(Alone):
@@ -149,7 +148,7 @@ def test_one_process_pays_nothing(bare_scene: Path, tmp_path: Path, monkeypatch:
         monkeypatch.setattr(torch.distributed, name, lambda *words, name=name, **more: called.append(name))
     for name in (*TORCHRUN, "MASTER_PORT"):
         monkeypatch.delenv(name, raising=False)
-    job = {"name": "run", "changes": {**SHORT, "outer_steps": 1, "inner_batch": None}}
+    job = {"name": "run", "changes": {**SHORT, "steps": 1, "inner_batch": None}}
     run(config_of(job, str(bare_scene), tmp_path), resume=None, started=time.monotonic())
     assert called == []
     assert isinstance(gather({"WORLD_SIZE": "1"}, torch.device("cpu")), Alone)
@@ -202,7 +201,7 @@ def test_torchrun_trains_and_names_the_dead(bare_scene: Path, tmp_path: Path, co
     ]
     environment = {**command_environment, "OMP_NUM_THREADS": "1"}
     with subprocess.Popen(
-        [*train, *words, "--trainer.outer-steps", "60"], env=environment, stderr=subprocess.PIPE, text=True
+        [*train, *words, "--steps", "60"], env=environment, stderr=subprocess.PIPE, text=True
     ) as process:
         events = tmp_path / "run" / "events.jsonl"
         while not events.exists() or '"outer_step"' not in events.read_text():

@@ -46,7 +46,7 @@ def upper_half(scene: Scene) -> tuple[float, float, float, float, float, float]:
 
 
 def refined(scene: Scene, **changes: object) -> MethodConfig:
-    few = {"outer_steps": 4, "fit_steps": 40, "polish_steps": 0}
+    few = {"steps": 4, "fit_steps": 40, "polish_steps": 0}
     return small_config(**{"refine_box": (upper_half(scene),), **few, **changes})
 
 
@@ -105,7 +105,7 @@ def test_a_run_ends_with_finer_triangles_in_the_box(scene: Scene):
 
 
 def test_a_run_spares_cells_that_its_pixels_do_not_show(scene: Scene):
-    few = {"outer_steps": 3, "fit_steps": 40, "polish_steps": 0, "stages": TWO_STAGES}
+    few = {"steps": 3, "fit_steps": 40, "polish_steps": 0, "stages": TWO_STAGES}
     plain, spared = (train(small_config(**few, cell_pixels=pixels), scene) for pixels in (None, 6.0))
     assert all(np.isfinite(spared.losses))
     # The second stage has cells of half the size, which are less than six pixels wide.

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from small_runs import ONE_STAGE, small_config
+from small_runs import ONE_STAGE, finished, small_config
 
 from sculpt_framework.cli.train import read_request
 from sculpt_framework.config import MethodConfig
@@ -18,15 +18,14 @@ from sculpt_framework.demo_scenes.folder import DemoSettings, write_scene
 from sculpt_framework.demo_scenes.objects import DemoObject
 from sculpt_framework.demo_scenes.texture import SolidTexture
 from sculpt_framework.engine.checkpoint import read_checkpoint, write_checkpoint
-from sculpt_framework.engine.pipeline import Pipeline
-from sculpt_framework.engine.run import CHECKPOINTS, read_config, run
+from sculpt_framework.engine.progress import Progress
+from sculpt_framework.engine.run import run
+from sculpt_framework.engine.session import Session
 from sculpt_framework.errors import CheckpointError, ConfigError
 from sculpt_framework.evaluation.certificate import certify
 from sculpt_framework.evaluation.geometry import MeasuredMesh, sample_surface
 from sculpt_framework.evaluation.mesh import Mesh, load_mesh
 from sculpt_framework.events import Event
-from sculpt_framework.sculpting.repair import repair_start
-from sculpt_framework.sculpting.state import Progress
 from sculpt_framework.types import Scene
 from sculpt_plugins.datasets.blender.config import BlenderConfig
 from sculpt_plugins.extractors.flexicubes.config import FlexiCubesConfig
@@ -36,7 +35,7 @@ from sculpt_plugins.observers.recorder.config import RecorderConfig
 Corners = tuple[float, float, float, float, float, float]
 
 
-def finished(config: MethodConfig, folder: Path, output: Path) -> Path:
+def trained(config: MethodConfig, folder: Path, output: Path) -> Path:
     config = replace(config, data=str(folder), dataset=BlenderConfig(), observers=(RecorderConfig(),), output=output)
     run(config, resume=None, started=time.monotonic())
     return output
@@ -72,13 +71,13 @@ def beyond(mesh: Mesh, box: Corners, margin: float) -> np.ndarray:
 @pytest.fixture(scope="module")
 def whole(scene_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     extractor = FlexiCubesConfig(split="center", learn_deformation=True)
-    config = small_config(extractor=extractor, outer_steps=3, base_cells=16, polish_steps=2)
-    return finished(config, scene_folder, tmp_path_factory.mktemp("repair") / "whole")
+    config = small_config(extractor=extractor, steps=3, base_cells=16, polish_steps=2)
+    return trained(config, scene_folder, tmp_path_factory.mktemp("repair") / "whole")
 
 
 def test_outside_the_box_the_mesh_stays_to_the_bit(scene: Scene, whole: Path):
     box = octant(scene, (1, 1, 1))
-    output = repaired(words_for(box, whole, "--trainer.outer-steps", "2"))
+    output = repaired(words_for(box, whole, "--steps", "2"))
     assert output == whole.with_name("whole-repair-1")
     before, after = load_mesh(whole / "mesh.ply"), load_mesh(output / "mesh.ply")
     cell = 2 * scene.box.scale / 16
@@ -94,32 +93,34 @@ def test_outside_the_box_the_mesh_stays_to_the_bit(scene: Scene, whole: Path):
     assert metrics["status"] == "finished"
     # Another box of the repaired run; what the first one changed is outside now, and stays.
     other = octant(scene, (-1, -1, -1))
-    again = repaired(words_for(other, output, "--trainer.outer-steps", "1", "--output", f"{output}-more"))
+    again = repaired(words_for(other, output, "--steps", "1", "--output", f"{output}-more"))
     third = load_mesh(again / "mesh.ply")
     assert np.array_equal(beyond(after, other, 2.5 * cell), beyond(third, other, 2.5 * cell))
     assert len(third.vertices) > 1.1 * len(after.vertices)
 
 
-def test_an_interrupted_repair_goes_on_as_an_unbroken_one(scene: Scene, whole: Path, tmp_path: Path):
-    words = words_for(octant(scene, (1, 1, 1)), whole, "--trainer.outer-steps", "2", "--observers", "none")
+def test_an_interrupted_repair_goes_on_as_an_unbroken_one(
+    scene: Scene, whole: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+):
+    words = words_for(octant(scene, (1, 1, 1)), whole, "--steps", "2", "--observers", "none")
     config = read_request(words).config
-    start = repair_start(config, read_config(whole), scene, read_checkpoint(whole / CHECKPOINTS), [])
-    assert start.moved == 0.0
-    unbroken = Pipeline(config, scene=scene).train((start.state, start.progress))
+    start = config.start(scene)
+    assert not caplog.records, "the run's mesh is reproduced to the bit"
+    unbroken = finished(Session(scene, config, saved=start))
     kept: list[tuple[dict[str, torch.Tensor], Progress]] = []
     steps: list[Event] = []
-    pipeline = Pipeline(
+    session = Session(
+        scene,
         config,
-        scene=scene,
         emit=lambda event: steps.append(event) if event.event == "outer_step" else None,
-        should_stop=lambda: len(steps) == 1,
-        save=lambda state, progress: kept.append((dict(state), progress)),
+        save_state=lambda state, progress: kept.append((dict(state), progress)),
+        saved=start,
     )
-    pipeline.train((start.state, start.progress))
+    finished(session, lambda: len(steps) == 1)
     write_checkpoint(tmp_path, *kept[-1])
     state, progress = read_checkpoint(tmp_path)
     assert progress.outer == 1
-    resumed = Pipeline(config, scene=scene).train((state, progress))
+    resumed = finished(Session(scene, config, saved=(state, progress)))
     np.testing.assert_array_equal(resumed.vertices, unbroken.vertices)
     np.testing.assert_array_equal(resumed.faces, unbroken.faces)
 
@@ -174,12 +175,12 @@ def test_fine_detail_in_the_box_comes_out(tmp_path: Path):
         field=HashGridFieldConfig(num_levels=7, log2_table=14, finest_resolution=128, learning_rate=2e-3),
         stages=(replace(ONE_STAGE[0], inner_steps=3, outer_views=3),),
         base_cells=24,
-        outer_steps=30,
+        steps=30,
         fit_steps=100,
         polish_steps=20,
     )
-    whole = finished(config, tmp_path / "studs", tmp_path / "whole")
-    output = repaired(words_for(STUDS, whole, "--trainer.outer-steps", "60"))
+    whole = trained(config, tmp_path / "studs", tmp_path / "whole")
+    output = repaired(words_for(STUDS, whole, "--steps", "60"))
     reference = load_mesh(tmp_path / "studs" / "gt_mesh.ply")
     before, after = load_mesh(whole / "mesh.ply"), load_mesh(output / "mesh.ply")
     assert chamfer_in_box(after, reference, STUDS) <= 2 / 3 * chamfer_in_box(before, reference, STUDS)

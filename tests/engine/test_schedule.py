@@ -6,28 +6,30 @@ import time
 from dataclasses import replace
 
 import pytest
-from small_runs import ONE_STAGE, TWO_STAGES, small_config
+from small_runs import TWO_STAGES, small_config
 
-from sculpt_framework.config import StageConfig
 from sculpt_framework.engine.clock import TrainingClock, process_start
 from sculpt_framework.engine.measuring import some_views
 from sculpt_framework.engine.milestones import Milestones
 from sculpt_framework.engine.schedule import Schedule
-from sculpt_framework.sculpting.assembly import split_views
+from sculpt_framework.engine.views import split_views
+from sculpt_framework.sculpting.config import StageConfig
+from sculpt_framework.sculpting.rates import Rates
 from sculpt_framework.types import Scene
 
 
 def test_steps_make_progress():
-    schedule = Schedule(small_config(outer_steps=10, stages=TWO_STAGES).trainer, None)
+    schedule = Schedule(10, None)
     assert schedule.total_steps == 10
     assert [schedule.progress(outer) for outer in (0, 5, 10, 12)] == [0.0, 0.5, 1.0, 1.0]
-    assert [schedule.stage_index(p) for p in (0.0, 0.49, 0.5, 1.0)] == [0, 0, 1, 1]
-    assert schedule.stage(0.7) is TWO_STAGES[1]
+    rates = Rates(small_config(stages=TWO_STAGES).trainer, timed=False)
+    assert [rates.stage_index(p) for p in (0.0, 0.49, 0.5, 1.0)] == [0, 0, 1, 1]
+    assert rates.stage(0.7) is TWO_STAGES[1]
 
 
 def test_rates_fall_to_the_share_that_was_asked_for():
-    schedule = Schedule(small_config(final_rate=0.05).trainer, None)
-    rates = [schedule.rate_factor(progress / 10) for progress in range(11)]
+    falling = Rates(small_config(final_rate=0.05).trainer, timed=False)
+    rates = [falling.factor(progress / 10) for progress in range(11)]
     assert rates[0] == 1.0
     assert rates[-1] == pytest.approx(0.05)
     assert rates == sorted(rates, reverse=True)
@@ -35,43 +37,44 @@ def test_rates_fall_to_the_share_that_was_asked_for():
 
 @pytest.mark.parametrize("steps", [60, 80, 400, 20_000])
 def test_the_surface_settles_however_long_the_run(steps: int):
-    assert Schedule(small_config(surface_steps=0.0).trainer, None).surface_rate(0.9, 10_000) == 0.9
-    schedule = Schedule(small_config(surface_steps=40.0, outer_steps=steps).trainer, None)
-    rates = [schedule.surface_rate(1.0, outer) for outer in range(steps)]
+    assert Rates(small_config(surface_steps=0.0).trainer, timed=False).surface(0.9, 10_000, 1.0) == 0.9
+    falling = Rates(small_config(surface_steps=40.0).trainer, timed=False)
+    rates = [falling.surface(1.0, outer, outer / steps) for outer in range(steps)]
     assert rates[0] == 1.0
     assert rates == sorted(rates, reverse=True)
     assert sum(rates) == pytest.approx(40, rel=0.03)
-    assert schedule.surface_rate(0.01 * rates[-1], steps) == 0.01 * rates[-1]
+    assert falling.surface(0.01 * rates[-1], steps, 1.0) == 0.01 * rates[-1]
 
 
 def test_a_short_run_keeps_its_rates():
-    schedule = Schedule(small_config(surface_steps=40.0, outer_steps=40).trainer, None)
-    assert [schedule.surface_rate(0.5, outer) for outer in (0, 20, 40)] == [0.5, 0.5, 0.5]
+    rates = Rates(small_config(surface_steps=40.0).trainer, timed=False)
+    assert [rates.surface(0.5, outer, outer / 40) for outer in (0, 20, 40)] == [0.5, 0.5, 0.5]
 
 
 def test_colours_are_warmed_up_for_a_quarter_of_the_time_at_most(monkeypatch: pytest.MonkeyPatch):
     now = 0.0
     monkeypatch.setattr(time, "monotonic", lambda: now)
-    timed, counted = (Schedule(small_config().trainer, deadline) for deadline in (100.0, None))
+    schedule = Schedule(8, 100.0)
+    timed, counted = (Rates(small_config().trainer, timed=timed) for timed in (True, False))
     now = 20.0
-    for schedule in (timed, counted):
-        schedule.begin()
+    schedule.begin()
     for instant, warm in ((20.0, False), (39.0, False), (41.0, True), (200.0, True)):
         now = instant
-        assert timed.warm() is warm
-        assert not counted.warm()
+        assert timed.warm(schedule.progress(0)) is warm
+        assert not counted.warm(schedule.progress(0))
 
 
 def test_with_a_deadline_the_pace_says_how_many_steps_there_will_be(monkeypatch: pytest.MonkeyPatch):
     now = 0.0
     monkeypatch.setattr(time, "monotonic", lambda: now)
-    timed = Schedule(small_config(surface_steps=40.0).trainer, deadline=100.0)
-    counted = Schedule(small_config(surface_steps=40.0, outer_steps=400).trainer, None)
-    assert timed.surface_rate(1.0, 3) == 1.0
+    timed, counted = Schedule(8, deadline=100.0), Schedule(400, None)
+    rates = Rates(small_config(surface_steps=40.0).trainer, timed=True)
+    assert rates.surface(1.0, 3, timed.progress(3)) == 1.0
     timed.begin()
     for step in (0, 20, 200, 400):
         now = step / 4
-        assert timed.surface_rate(1.0, step) == pytest.approx(counted.surface_rate(1.0, step))
+        by_clock = rates.surface(1.0, step, timed.progress(step))
+        assert by_clock == pytest.approx(rates.surface(1.0, step, counted.progress(step)))
 
 
 def test_time_makes_progress_and_has_its_own_shares(monkeypatch: pytest.MonkeyPatch):
@@ -81,13 +84,14 @@ def test_time_makes_progress_and_has_its_own_shares(monkeypatch: pytest.MonkeyPa
         StageConfig(share=0.5, time_share=0.1, level=0, image_scale=1.0, inner_steps=1, outer_views=1),
         StageConfig(share=0.5, time_share=0.9, level=0, image_scale=1.0, inner_steps=1, outer_views=1),
     )
-    schedule = Schedule(small_config(stages=stages).trainer, deadline=120.0)
+    schedule = Schedule(8, deadline=120.0)
     assert schedule.total_steps is None
     assert schedule.progress(1000) == 0.0
     schedule.begin()
     now = 105.0
     assert schedule.progress(0) == pytest.approx(0.25)
-    assert schedule.stage_index(0.25) == 1
+    assert Rates(small_config(stages=stages).trainer, timed=True).stage_index(0.25) == 1
+    assert Rates(small_config(stages=stages).trainer, timed=False).stage_index(0.25) == 0
     now = 130.0
     assert schedule.progress(0) == 1.0
     now = 110.0
@@ -97,7 +101,7 @@ def test_time_makes_progress_and_has_its_own_shares(monkeypatch: pytest.MonkeyPa
 
 
 def test_a_deadline_in_the_past_is_the_end():
-    schedule = Schedule(small_config(stages=ONE_STAGE).trainer, deadline=time.monotonic() - 5)
+    schedule = Schedule(8, deadline=time.monotonic() - 5)
     schedule.begin()
     assert schedule.progress(0) == 1.0
 
@@ -105,7 +109,7 @@ def test_a_deadline_in_the_past_is_the_end():
 def test_a_run_that_is_cut_short_has_a_fifth_left(monkeypatch: pytest.MonkeyPatch):
     now = 0.0
     monkeypatch.setattr(time, "monotonic", lambda: now)
-    schedule = Schedule(small_config(final_rate=0.05).trainer, deadline=100.0)
+    schedule = Schedule(8, deadline=100.0)
     assert schedule.cut_short() is None
     schedule.begin()
     assert schedule.cut_short() is None
@@ -118,7 +122,7 @@ def test_a_run_that_is_cut_short_has_a_fifth_left(monkeypatch: pytest.MonkeyPatc
     now = 50.0
     assert schedule.progress(0) == pytest.approx(1.0)
     # What is done by count stays as long as it was asked for.
-    counted = Schedule(small_config().trainer, None)
+    counted = Schedule(8, None)
     counted.begin()
     assert counted.cut_short() is None
 
@@ -126,7 +130,7 @@ def test_a_run_that_is_cut_short_has_a_fifth_left(monkeypatch: pytest.MonkeyPatc
 def test_a_run_gone_on_with_is_cut_short_too(monkeypatch: pytest.MonkeyPatch):
     now = 0.0
     monkeypatch.setattr(time, "monotonic", lambda: now)
-    schedule = Schedule(small_config().trainer, deadline=100.0)
+    schedule = Schedule(8, deadline=100.0)
     schedule.begin(done=0.3)
     now = 10.0
     assert schedule.progress(0) == pytest.approx(0.4)
@@ -139,7 +143,7 @@ def test_a_run_gone_on_with_is_cut_short_too(monkeypatch: pytest.MonkeyPatch):
 def test_stages_need_shares():
     stage = StageConfig(share=0.0, level=0, image_scale=1.0, inner_steps=1, outer_views=1)
     with pytest.raises(ValueError, match="positive shares"):
-        Schedule(small_config(stages=(stage,)).trainer, None)
+        Rates(small_config(stages=(stage,)).trainer, timed=False)
 
 
 def test_shares_are_measured_however_fast_the_machine_is():

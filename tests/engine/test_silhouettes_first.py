@@ -1,13 +1,12 @@
 """A start from a sphere takes its shape from the masks before colours count; other starts do not need it."""
 
-import time
 from dataclasses import replace
 
 import pytest
 import torch
 from small_runs import TWO_STAGES, Outcome, small_config, train
 
-from sculpt_framework.engine.pipeline import Pipeline
+from sculpt_framework.engine.session import Session
 from sculpt_framework.errors import TrainingFailed
 from sculpt_framework.events import Event
 from sculpt_framework.geometry.signed_distance import EmptySurfaceError
@@ -27,7 +26,7 @@ def first_error(outcome: Outcome) -> float:
 
 
 def from_sphere(scene: Scene, **changes: object) -> Outcome:
-    config = small_config(initializer=SphereConfig(fill=0.4), outer_steps=1, stages=TWO_STAGES, **changes)
+    config = small_config(initializer=SphereConfig(fill=0.4), steps=1, stages=TWO_STAGES, **changes)
     return train(config, scene)
 
 
@@ -51,12 +50,12 @@ def test_without_masks_there_is_nothing_to_go_by(scene: Scene):
 
 
 def test_starts_that_know_the_silhouettes_are_left_alone(scene: Scene):
-    assert not shaping(train(small_config(outer_steps=1), scene))
+    assert not shaping(train(small_config(steps=1), scene))
 
 
 def test_a_method_that_begins_with_silhouettes_itself_is_left_alone(scene: Scene):
     own = (replace(TWO_STAGES[0], silhouette_only=True, inner_steps=0), TWO_STAGES[1])
-    assert not shaping(train(small_config(initializer=SphereConfig(), outer_steps=2, stages=own), scene))
+    assert not shaping(train(small_config(initializer=SphereConfig(), steps=2, stages=own), scene))
 
 
 def test_a_time_limit_leaves_most_for_the_stages(scene: Scene, monkeypatch: pytest.MonkeyPatch):
@@ -65,7 +64,7 @@ def test_a_time_limit_leaves_most_for_the_stages(scene: Scene, monkeypatch: pyte
     monkeypatch.setattr(silhouettes_first, "_GAIN", -1e9)
     config = small_config(initializer=SphereConfig(), stages=TWO_STAGES, max_time=12.0)
     events: list[Event] = []
-    Pipeline(config, scene=scene, emit=events.append, started=time.monotonic()).train()
+    Session(scene, config, emit=events.append).run()
     shaped = next(event.t_wall for event in events if event.data.get("item") == "silhouettes first")
     assert 1.5 < shaped < 6.0
     assert any(event.event == "outer_step" for event in events)

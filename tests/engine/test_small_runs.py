@@ -9,8 +9,9 @@ import torch
 from small_runs import FIELDS, ONE_STAGE, TWO_STAGES, Outcome, small_config, train
 
 from sculpt_framework import registry
-from sculpt_framework.config import MethodConfig, StageConfig
+from sculpt_framework.config import MethodConfig
 from sculpt_framework.evaluation.certificate import certify
+from sculpt_framework.sculpting.config import StageConfig
 from sculpt_framework.types import Scene, View
 from sculpt_plugins.appearances.per_gaussian.config import PerGaussianConfig
 from sculpt_plugins.binders.face_barycentric.config import FaceBarycentricConfig
@@ -101,7 +102,7 @@ def test_switches(scene: Scene, config: MethodConfig):
 
 
 def test_a_sphere_is_shaped_by_silhouettes_first(scene: Scene):
-    outcome = train(small_config(initializer=SphereConfig(), stages=SILHOUETTES_FIRST, outer_steps=16), scene)
+    outcome = train(small_config(initializer=SphereConfig(), stages=SILHOUETTES_FIRST, steps=16), scene)
     require_valid(outcome)
     terms = [event.data["terms"] for event in outcome.of("outer_step")]
     assert "photometric" not in terms[0]
@@ -116,7 +117,7 @@ def test_a_cold_start_is_measured_with_the_colours_it_learned(scene: Scene):
         config = small_config(
             warm_start=False,
             appearance=PerGaussianConfig(),
-            outer_steps=1,
+            steps=1,
             warm_up_steps=0,
             stages=stage,
             polish_steps=0,

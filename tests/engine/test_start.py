@@ -85,7 +85,7 @@ class Balls(Initializer):
 
 
 def rows_from(scene: Scene, *radii: float) -> list[Mapping[str, Any]]:
-    outcome = train(small_config(initializer=BallsConfig(radii=radii), outer_steps=1), scene)
+    outcome = train(small_config(initializer=BallsConfig(radii=radii), steps=1), scene)
     return [each.data for each in outcome.of("evaluation")]
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from small_runs import ONE_STAGE, small_config
+from small_runs import ONE_STAGE, finished, method_of, small_config
 
 from sculpt_framework.commands import (
     AddBox,
@@ -29,7 +29,7 @@ from sculpt_framework.commands import (
     read_recorded,
 )
 from sculpt_framework.config import MethodConfig
-from sculpt_framework.engine.pipeline import Pipeline
+from sculpt_framework.engine.session import Session
 from sculpt_framework.engine.steering import Steering
 from sculpt_framework.errors import ConfigError
 from sculpt_framework.evaluation.certificate import certify
@@ -70,29 +70,28 @@ class Told:
         self.events: list[Event] = []
         self.meshes: dict[int, Reconstruction] = {}
         """What was extracted in the last step before, by outer steps."""
-        pipeline = Pipeline(config, scene=scene, emit=self.events.append, should_stop=lambda: watched())
+        session = Session(scene, config, emit=self.events.append)
         left = list(told)
 
         def due() -> list[Command]:
-            now = [command for outer, command in left if outer == pipeline.outer]
-            left[:] = [(outer, command) for outer, command in left if outer != pipeline.outer]
+            now = [command for outer, command in left if outer == session.step]
+            left[:] = [(outer, command) for outer, command in left if outer != session.step]
             return now
 
         self.steering = Steering(
-            pipeline,
-            emit=self.events.append,
+            session,
             folder=folder,
             sources=() if replay else (due,),
             replay=[Recorded(outer=outer, command=command) for outer, command in told] if replay else (),
         )
 
         def watched() -> bool:
-            if pipeline.parts.trainer.extraction is not None:
-                self.meshes[pipeline.outer] = pipeline.current()
+            if method_of(session).trainer.extraction is not None:
+                self.meshes[session.step] = method_of(session).reconstruction()
             return self.steering()
 
-        self.pipeline = pipeline
-        self.result = pipeline.train()
+        self.method = method_of(session)
+        self.result = finished(session, watched)
 
     @property
     def actions(self) -> list[Event]:
@@ -131,7 +130,7 @@ def test_what_is_no_command_is_said(value: object, complaint: str):
 
 
 def test_a_pause_takes_no_steps_and_no_training_time(scene: Scene, tmp_path: Path):
-    config = small_config(outer_steps=4, stages=ONE_STAGE)
+    config = small_config(steps=4, stages=ONE_STAGE)
     seconds = 0.6
     resumed: list[float] = []
 
@@ -155,10 +154,10 @@ def test_a_pause_takes_no_steps_and_no_training_time(scene: Scene, tmp_path: Pat
         if event.data.get("message") == "paused":
             resumes.began = time.monotonic()
 
-    pipeline = Pipeline(config, scene=scene, emit=emit, should_stop=lambda: steering())
+    session = Session(scene, config, emit=emit)
     told = iter([[], [], [Pause()]])
-    steering = Steering(pipeline, emit=emit, folder=tmp_path, sources=[lambda: next(told, []), resumes])
-    pipeline.train()
+    steering = Steering(session, folder=tmp_path, sources=[lambda: next(told, []), resumes])
+    finished(session, steering)
     paused, resumed_event = [event for event in events if event.event == "action"]
     between = events[events.index(paused) + 1 : events.index(resumed_event)]
     assert not [event for event in between if event.event == "outer_step"]
@@ -168,13 +167,13 @@ def test_a_pause_takes_no_steps_and_no_training_time(scene: Scene, tmp_path: Pat
 
 
 def test_stop_ends_the_run_and_its_mesh_is_whole(scene: Scene, tmp_path: Path):
-    run = Told(small_config(outer_steps=6, stages=ONE_STAGE), scene, tmp_path, [(2, Stop())])
+    run = Told(small_config(steps=6, stages=ONE_STAGE), scene, tmp_path, [(2, Stop())])
     assert [event.outer for event in run.steps] == [1, 2]
     assert certify(run.result.mesh.vertices, run.result.mesh.faces).watertight
 
 
 def test_weights_constraints_and_rates_do_what_they_say(scene: Scene, tmp_path: Path):
-    config = small_config(outer_steps=4, stages=ONE_STAGE, gradient_isolation=False)
+    config = small_config(steps=4, stages=ONE_STAGE, gradient_isolation=False)
     name = "eikonal"
     told = [
         (1, SetWeight(slot="losses", name=name, weight=0.0)),
@@ -187,17 +186,17 @@ def test_weights_constraints_and_rates_do_what_they_say(scene: Scene, tmp_path: 
     assert terms[0][name] > 0
     assert terms[1][name] == 0
     assert ["mee-scale" in each for each in terms] == [True, True, False, False]
-    assert run.pipeline.parts.trainer.surface_rate == 0
-    before = {name: value.clone() for name, value in run.pipeline.parts.trainer.field.state_dict().items()}
-    trainer, images, stage = run.pipeline.parts.trainer, run.pipeline._images, config.trainer.stages[0]
+    assert run.method.trainer.surface_rate == 0
+    before = {name: value.clone() for name, value in run.method.trainer.field.state_dict().items()}
+    trainer, images, stage = run.method.trainer, run.method.images, config.trainer.stages[0]
     report = trainer.update(trainer.settle(images, stage, 1.0), images, stage, 1.0)
-    after = run.pipeline.parts.trainer.field.state_dict()
+    after = run.method.trainer.field.state_dict()
     assert np.isfinite(report.loss)
     assert all(bool((before[name] == after[name]).all()) for name in before)
 
 
 def test_what_does_not_fit_the_run_is_refused_and_changes_nothing(scene: Scene, tmp_path: Path):
-    config = small_config(outer_steps=2, stages=ONE_STAGE)
+    config = small_config(steps=2, stages=ONE_STAGE)
     told = [
         (1, SetWeight(slot="losses", name="magic", weight=1.0)),
         (1, SwitchConstraint(name="eikonal", on=False)),
@@ -224,7 +223,7 @@ def half(scene: Scene, *, upper: bool) -> tuple[tuple[float, float, float], tupl
 
 def test_refining_a_box_makes_finer_triangles_there(scene: Scene, tmp_path: Path):
     low, high = half(scene, upper=True)
-    config = small_config(outer_steps=6, stages=ONE_STAGE)
+    config = small_config(steps=6, stages=ONE_STAGE)
     run = Told(config, scene, tmp_path, [(3, AddBox(kind="refine", minimum=low, maximum=high))])
     mesh = run.result.mesh
     certificate = certify(mesh.vertices, mesh.faces)
@@ -242,10 +241,10 @@ def test_a_frozen_box_stays_and_the_rest_moves(scene: Scene, tmp_path: Path):
     # Walls beyond the object: only the passage at the lower one is on the surface.
     wall = middle - 0.3 * scene.box.scale
     low, high = (x0 - 1, y0 - 1, wall), (x1 + 1, y1 + 1, z1 + 1)
-    config = small_config(outer_steps=10, stages=ONE_STAGE, fit_steps=20)
+    config = small_config(steps=10, stages=ONE_STAGE, fit_steps=20)
     run = Told(config, scene, tmp_path, [(3, AddBox(kind="freeze", minimum=low, maximum=high))])
-    trainer, (frozen,) = run.pipeline.parts.trainer, run.pipeline.parts.trainer.frozen
-    passage = 2 * run.pipeline.parts.grid.cell
+    trainer, (frozen,) = run.method.trainer, run.method.trainer.frozen
+    passage = 2 * run.method.parts.grid.cell
     with torch.no_grad():
         points = trainer.extract().surface.vertices
         held, kept, free = trainer.signed_distance(points), frozen.field(points).sdf, trainer.field(points).sdf
@@ -259,11 +258,11 @@ def test_a_frozen_box_stays_and_the_rest_moves(scene: Scene, tmp_path: Path):
     distance = np.sqrt(reference.squared_distances(run.result.vertices)[0]) / scene.box.scale
     height = (run.result.vertices[:, 2] - wall) / scene.box.scale
     # A vertex has to do with corners and weights up to a cell away.
-    assert distance[height > 1.5 * passage].max() < 1e-5 * run.pipeline.parts.grid.cell
+    assert distance[height > 1.5 * passage].max() < 1e-5 * run.method.parts.grid.cell
 
 
 def test_images_teach_nothing_where_they_are_ignored(scene: Scene, tmp_path: Path):
-    trainer = Told(small_config(outer_steps=1, stages=ONE_STAGE), scene, tmp_path, []).pipeline.parts.trainer
+    trainer = Told(small_config(steps=1, stages=ONE_STAGE), scene, tmp_path, []).method.trainer
     region = Region(minimum=-scene.box.half_sides, maximum=scene.box.half_sides * scene.box.half_sides.new([1, 1, 0]))
     surface = trainer.extract().surface
     shielded = untaught([region], surface)
@@ -281,7 +280,7 @@ def test_images_teach_nothing_where_they_are_ignored(scene: Scene, tmp_path: Pat
 
 
 def test_an_export_is_the_mesh_as_it_is(scene: Scene, tmp_path: Path):
-    run = Told(small_config(outer_steps=3, stages=ONE_STAGE), scene, tmp_path, [(2, ExportMesh())])
+    run = Told(small_config(steps=3, stages=ONE_STAGE), scene, tmp_path, [(2, ExportMesh())])
     vertices, faces, colors = read_colored_mesh(Path(run.actions[0].data["path"]))
     np.testing.assert_allclose(vertices, run.meshes[2].vertices, atol=1e-6)
     np.testing.assert_array_equal(faces, run.meshes[2].faces)
@@ -290,7 +289,7 @@ def test_an_export_is_the_mesh_as_it_is(scene: Scene, tmp_path: Path):
 
 
 def test_a_replayed_run_ends_as_the_one_it_follows(scene: Scene, tmp_path: Path):
-    config = small_config(outer_steps=6, stages=ONE_STAGE)
+    config = small_config(steps=6, stages=ONE_STAGE)
     low, high = half(scene, upper=False)
     told = [
         (1, SetWeight(slot="losses", name="silhouette", weight=3.0)),
@@ -305,7 +304,7 @@ def test_a_replayed_run_ends_as_the_one_it_follows(scene: Scene, tmp_path: Path)
     assert [(each.outer, each.command) for each in recorded] == told
     again = Told(config, scene, tmp_path, told, replay=True)
     np.testing.assert_array_equal(first.result.vertices, again.result.vertices)
-    plain = Told(replace(config, trainer=replace(config.trainer, outer_steps=5)), scene, tmp_path, [])
+    plain = Told(replace(config, steps=5), scene, tmp_path, [])
     assert not np.array_equal(first.result.vertices, plain.result.vertices)
 
 
@@ -333,15 +332,15 @@ def test_a_replay_that_cannot_be_read_is_one_line(tmp_path: Path):
 
 def test_a_frozen_surface_outlives_a_resumed_run(scene: Scene, tmp_path: Path):
     low, high = half(scene, upper=True)
-    config = small_config(outer_steps=3, stages=ONE_STAGE)
+    config = small_config(steps=3, stages=ONE_STAGE)
     box = AddBox(kind="freeze", minimum=low, maximum=high)
-    first = Told(config, scene, tmp_path, [(1, box)]).pipeline.parts.trainer.frozen[0]
-    pipeline = Pipeline(replace(config, seed=7), scene=scene)
-    steering = Steering(pipeline, emit=lambda event: None, folder=tmp_path)
+    first = Told(config, scene, tmp_path, [(1, box)]).method.trainer.frozen[0]
+    session = Session(scene, replace(config, seed=7))
+    steering = Steering(session, folder=tmp_path)
     steering.take_up([Recorded(outer=1, command=box)], outer=2)
-    again = pipeline.parts.trainer.frozen[0]
+    again = method_of(session).trainer.frozen[0]
     points = first.region.minimum + 0.5 * (first.region.maximum - first.region.minimum)
     assert float(first.field(points[None]).sdf.detach()) == float(again.field(points[None]).sdf)
     assert float(first.field(points[None]).sdf.detach()) != float(
-        pipeline.parts.trainer.field(points[None]).sdf.detach()
+        method_of(session).trainer.field(points[None]).sdf.detach()
     )

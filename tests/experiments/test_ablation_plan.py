@@ -147,7 +147,7 @@ def test_options_that_are_not_valid_name_the_setting():
         made(method="gaussian-sculptin")
 
 
-@pytest.mark.parametrize("word", ["--seed", "--max-time=3", "--trainer.outer_steps", "--output", "--data", "--resume"])
+@pytest.mark.parametrize("word", ["--seed", "--max-time=3", "--steps", "--output", "--data", "--resume"])
 def test_what_the_plan_sets_cannot_be_given(word: str):
     with pytest.raises(ConfigError, match="cannot be given after --"):
         check_extra(["--field", "mlp", word, "3"])
@@ -168,13 +168,13 @@ def test_a_plan_crosses_scenes_budgets_seeds_and_settings():
     assert [cell.timed for cell in plan.cells[:8]] == [True] * 4 + [False] * 4
     assert plan.cells[-1].words == (
         *("gaussian-sculpting-tiny", "--data", "/jar", "--reference", "/jar.ply", "--threads", "1"),
-        *("--trainer.outer-steps", "100", "--seed", "7"),
+        *("--steps", "100", "--seed", "7"),
     )
     for cell in plan.cells[3:5]:
         assert parse(cell.words).max_time == (40 if cell.timed else None)
     assert set(plan.warm_ups) == {"dents", "jar"}
     warm = parse(plan.warm_ups["dents"])
-    assert warm.trainer.outer_steps == 4
+    assert warm.steps == 4
     assert {stage.inner_steps for stage in warm.trainer.stages} == {1}
     assert warm.max_time is None
 

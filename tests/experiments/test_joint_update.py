@@ -7,12 +7,12 @@ import torch
 from torch import Tensor
 
 from sculpt_framework import registry
-from sculpt_framework.config import MethodConfig
 from sculpt_framework.demo_scenes.folder import DemoSettings, write_scene
 from sculpt_framework.demo_scenes.objects import demo_object
-from sculpt_framework.engine.images import prepare_image
 from sculpt_framework.geometry.band import discover
 from sculpt_framework.sculpting.assembly import build_parts
+from sculpt_framework.sculpting.config import SculptingConfig, of_sculpting
+from sculpt_framework.sculpting.images import prepare_image
 from sculpt_framework.types import Scene
 from sculpt_plugins.binders.face_barycentric.config import FaceBarycentricConfig
 from sculpt_plugins.constraints.boundary.config import BoundaryConfig
@@ -33,9 +33,9 @@ def step(
     scene: Scene, isolated: bool, weight: float, silhouettes: bool = False, per_face: int = 3
 ) -> tuple[Mapping[str, float], Tensor]:
     """The terms of one outer step, and the Gaussians' places after it."""
-    base = registry.load_method("gaussian-sculpting-tiny")()
+    base = of_sculpting(registry.load_method("gaussian-sculpting-tiny")())
     changes = {"gradient_isolation": isolated, "base_cells": 10}
-    config = MethodConfig(
+    config = SculptingConfig(
         **{
             **vars(base),
             "trainer": type(base.trainer)(**{**vars(base.trainer), **changes}),

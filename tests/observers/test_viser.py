@@ -20,8 +20,8 @@ from sculpt_framework.commands import Pause, TakeSnapshot, command_to_json
 from sculpt_framework.errors import ConfigError
 from sculpt_framework.events import Event
 from sculpt_framework.geometry.grid import Grid, pack
-from sculpt_framework.sculpting.snapshot import Snapshot
 from sculpt_framework.serialization import config_to_json
+from sculpt_framework.snapshot import Cells, Snapshot
 from sculpt_framework.types import Box, Gaussians, Surface
 from sculpt_framework.viewing.frames import read_frame, step_files
 from sculpt_plugins.observers.recorder.config import RecorderConfig
@@ -47,8 +47,10 @@ def tetrahedron() -> Snapshot:
             face=torch.arange(4),
         ),
         box=Box(minimum=torch.full((3,), -2.0), maximum=torch.full((3,), 2.0)),
-        grid=Grid(origin=(-1.0, -1.0, -1.0), base_shape=(4, 4, 4), base_cell=0.5),
-        cells=pack(0, torch.tensor([[1, 1, 1], [2, 2, 2]])),
+        cells=Cells(
+            grid=Grid(origin=(-1.0, -1.0, -1.0), base_shape=(4, 4, 4), base_cell=0.5),
+            keys=pack(0, torch.tensor([[1, 1, 1], [2, 2, 2]])),
+        ),
     )
 
 

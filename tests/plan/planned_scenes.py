@@ -5,7 +5,7 @@ from dataclasses import replace
 import torch
 
 from sculpt_framework import registry
-from sculpt_framework.config import MethodConfig, PlanConfig
+from sculpt_framework.config import MethodConfig
 from sculpt_framework.demo_scenes.cameras import demo_cameras
 from sculpt_framework.demo_scenes.folder import lit_in
 from sculpt_framework.demo_scenes.objects import demo_object
@@ -13,6 +13,7 @@ from sculpt_framework.demo_scenes.tracing import render
 from sculpt_framework.plan.decision import Decision
 from sculpt_framework.plan.evidence import Evidence, gather
 from sculpt_framework.plan.make import decide
+from sculpt_framework.sculpting.config import PlanConfig
 from sculpt_framework.types import Box, Scene, View
 
 SCALE = 0.6

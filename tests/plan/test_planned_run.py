@@ -12,9 +12,9 @@ import torch
 
 from sculpt_framework import registry
 from sculpt_framework.cli.train import read_request
-from sculpt_framework.config import MethodConfig, PlanConfig
-from sculpt_framework.engine.pipeline import Pipeline
+from sculpt_framework.config import MethodConfig
 from sculpt_framework.engine.run import run
+from sculpt_framework.engine.session import Session
 from sculpt_framework.errors import ConfigError
 from sculpt_framework.events import Event
 from sculpt_framework.plan.decision import read_plan
@@ -22,6 +22,7 @@ from sculpt_framework.plan.make import plan_scene
 from sculpt_framework.plan.options import with_options
 from sculpt_framework.plan.savings import savings
 from sculpt_framework.sculpting.assembly import build_parts
+from sculpt_framework.sculpting.config import PlanConfig
 from sculpt_framework.sculpting.resting import Resting
 from sculpt_framework.serialization import read_config
 from sculpt_framework.types import Scene
@@ -31,14 +32,14 @@ from sculpt_plugins.observers.recorder.config import RecorderConfig
 def small(mode: str = "on", **trainer: object) -> MethodConfig:
     base = registry.load_method("gaussian-sculpting-tiny")()
     stage = replace(base.trainer.stages[0], share=1.0, image_scale=1.0, level=0, inner_steps=4)
-    short = replace(
-        base.trainer, outer_steps=4, base_cells=14, fit_steps=40, polish_steps=40, holdout_every=5, stages=(stage,)
-    )
+    short = replace(base.trainer, base_cells=14, fit_steps=40, polish_steps=40, stages=(stage,))
     return replace(
         base,
         method="no-method-of-the-registry",  # so that nothing counts as set by hand
         plan=PlanConfig(mode="on" if mode == "on" else "off"),
         observers=(RecorderConfig(step_seconds=0.0),),
+        steps=4,
+        holdout_every=5,
         trainer=replace(short, **trainer),
     )
 
@@ -154,21 +155,21 @@ def test_a_plan_cannot_be_changed_on_resume(tmp_path: Path, scene_folder: Path) 
 
 def test_views_that_are_not_there_cannot_be_left_out(scene: Scene) -> None:
     with pytest.raises(ConfigError, match="--skip-views nobody"):
-        Pipeline(replace(small("off"), skip_views=("nobody",)), scene=scene)
+        Session(scene, replace(small("off"), skip_views=("nobody",)))
     with pytest.raises(ConfigError, match="names all"):
-        Pipeline(replace(small("off"), skip_views=tuple(view.name for view in scene.train)), scene=scene)
+        Session(scene, replace(small("off"), skip_views=tuple(view.name for view in scene.train)))
 
 
 def test_a_constraint_without_effect_rests_and_is_told(scene: Scene) -> None:
     events: list[Event] = []
     config = small("off", rest_after=2, bind_every=1, polish_steps=0)
-    pipeline = Pipeline(config, scene=scene, emit=events.append)
-    pipeline.train()
+    session = Session(scene, config, emit=events.append)
+    session.run()
     told = {event.data["item"]: event.data for event in events if event.event == "decision"}
     # With one Gaussian on a face these two are constant.
     assert told["spacing"]["value"].startswith("rests")
     assert told["coverage"]["term"] == 0.0
-    spared = pipeline.parts.trainer.resting.spared
+    spared = session.reconstructor.trainer.resting.spared
     assert spared["spacing"] > 4
     assert "boundary" not in spared
 

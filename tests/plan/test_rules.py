@@ -6,13 +6,14 @@ import pytest
 from planned_scenes import decided, method
 
 from sculpt_framework import registry
-from sculpt_framework.config import InitializerConfig, MethodConfig, PlanConfig
+from sculpt_framework.config import InitializerConfig, MethodConfig
 from sculpt_framework.plan.agreement import UNEVEN_COLORS, UNEVEN_LIGHT
 from sculpt_framework.plan.directions import Gloss
 from sculpt_framework.plan.evidence import Evidence
 from sculpt_framework.plan.make import decide
 from sculpt_framework.plan.options import option_of, with_options, without
 from sculpt_framework.registry import name_of
+from sculpt_framework.sculpting.config import PlanConfig
 
 USUAL = Evidence(
     views=100,
@@ -166,7 +167,7 @@ def test_degree_follows_gloss(strength: float, degree: int) -> None:
     assert values["sh_degree"] == degree
     if degree:
         # All of them must come to act before the run ends.
-        steps = config.trainer.outer_steps * config.trainer.stages[0].inner_steps
+        steps = config.steps * config.trainer.stages[0].inner_steps
         assert degree * config.trainer.sh_degree_every < 1.2 * steps
 
 

@@ -23,8 +23,8 @@ from small_runs import ONE_STAGE, small_config
 
 from sculpt_framework.config import MethodConfig
 from sculpt_framework.engine.checkpoint import FILE_NAME, read_checkpoint
-from sculpt_framework.engine.pipeline import Pipeline
 from sculpt_framework.engine.run import CHECKPOINTS, CONFIG_NAME, run, run_status
+from sculpt_framework.engine.session import Session
 from sculpt_framework.errors import SculptError
 from sculpt_framework.evaluation.curve import read_curve
 from sculpt_framework.evaluation.mesh import load_mesh
@@ -43,7 +43,7 @@ def config_of(scene: str, output: Path) -> MethodConfig:
         dataset=BlenderConfig(),
         observers=(RecorderConfig(step_seconds=0.0),),
         output=output,
-        outer_steps=6,
+        steps=6,
         fit_steps=20,
         stages=ONE_STAGE,
         checkpoint_seconds=0.01,
@@ -130,7 +130,8 @@ def main() -> None:
     unbroken = work / "unbroken"
     # What a run imports when it builds its parts; building starts no threads.
     torch.set_num_threads(1)
-    Pipeline(config_of(scene, unbroken))
+    config = config_of(scene, unbroken)
+    Session(config.dataset.build(config.data).load(), config)
     began = time.monotonic()
     if attempt(config_of(scene, unbroken), unbroken, None, None) != 0:
         sys.exit("the unbroken run failed")

@@ -106,8 +106,8 @@ def sculpt_train(*words: str, **options) -> subprocess.CompletedProcess[str]:
 
 def test_files_the_system_refuses_are_one_line(small_scene: Path, tmp_path: Path):
     words = ["gaussian-sculpting-tiny", "--data", str(small_scene), "--output", str(tmp_path / "run")]
-    steps = ["--trainer.outer-steps", "2", "--trainer.fit-steps", "5", "--trainer.base-cells", "8"]
-    steps += ["--trainer.checkpoint-seconds", "0.01", "--trainer.polish-steps", "0"]
+    steps = ["--steps", "2", "--trainer.fit-steps", "5", "--trainer.base-cells", "8"]
+    steps += ["--checkpoint-seconds", "0.01", "--trainer.polish-steps", "0"]
     done = sculpt_train(*words, *steps, "--observers", "recorder", preexec_fn=limit_files)
     assert done.returncode == 2, done.stderr[-2000:]
     assert done.stderr.count("\n") == 1

@@ -8,8 +8,8 @@ import torch
 
 from sculpt_framework import registry
 from sculpt_framework.geometry.grid import Grid, pack
-from sculpt_framework.sculpting.snapshot import Snapshot
 from sculpt_framework.serialization import config_to_json
+from sculpt_framework.snapshot import Cells, Snapshot
 from sculpt_framework.types import Box, Gaussians, Surface
 from sculpt_framework.viewing.frames import FOLDER, LIVE, step_path, write_frame
 from sculpt_plugins.observers.recorder.config import RecorderConfig
@@ -31,8 +31,10 @@ def octahedron(size: float = 1.0, opacity: float = 0.99) -> Snapshot:
             face=torch.arange(8),
         ),
         box=Box(minimum=torch.tensor([-1.0, -1.0, 1.0]), maximum=torch.tensor([3.0, 3.0, 5.0])),
-        grid=Grid(origin=(-1.0, -1.0, -1.0), base_shape=(4, 4, 4), base_cell=0.5),
-        cells=pack(1, torch.tensor([[1, 1, 1], [2, 2, 2]])),
+        cells=Cells(
+            grid=Grid(origin=(-1.0, -1.0, -1.0), base_shape=(4, 4, 4), base_cell=0.5),
+            keys=pack(1, torch.tensor([[1, 1, 1], [2, 2, 2]])),
+        ),
     )
 
 

@@ -41,10 +41,13 @@ def test_the_large_surface_is_one():
     certificate = certify(vertices, faces)
     assert certificate.watertight
     assert certificate.genus == 0
+    assert snapshot.gaussians is not None
+    assert snapshot.cells is not None
     assert len(snapshot.gaussians) == 3 * len(faces)
-    low, side = np.array(snapshot.grid.origin), snapshot.grid.cell
+    grid = snapshot.cells.grid
+    low, side = np.array(grid.origin), grid.cell
     assert (np.abs(vertices) < 1).all()
-    assert (low + side * np.array(snapshot.grid.shape) > 0.9).all()
+    assert (low + side * np.array(grid.shape) > 0.9).all()
 
 
 def test_no_layer_is_more_than_a_second_of_a_slow_line(frame: Frame, server: viser.ViserServer):

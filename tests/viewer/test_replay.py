@@ -38,7 +38,7 @@ def test_a_steered_run_is_done_again_without_a_browser(tmp_path: Path):
         run.kill()
     assert 0 < run.steps < STEPS
     again = tmp_path / "again"
-    words = train_words(again, "--trainer.outer-steps", str(STEPS), "--replay", str(run.folder / "events.jsonl"))
+    words = train_words(again, "--steps", str(STEPS), "--replay", str(run.folder / "events.jsonl"))
     done = subprocess.run(words, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr
     assert (again / "mesh.ply").read_bytes() == (run.folder / "mesh.ply").read_bytes()

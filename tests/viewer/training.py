@@ -36,7 +36,7 @@ class Run:
         self.folder = folder / "run"
         self.address = f"http://127.0.0.1:{port}"
         self.log = folder / "log.txt"
-        words = train_words(self.folder, "--trainer.outer-steps", str(steps), *more, port=port)
+        words = train_words(self.folder, "--steps", str(steps), *more, port=port)
         with open(self.log, "wb") as log:
             self.process = subprocess.Popen(words, stdout=log, stderr=log)
         try:

@@ -21,8 +21,8 @@ from sculpt_framework.errors import ConfigError, SculptError
 from sculpt_framework.events import Event
 from sculpt_framework.observers import SteeringObserver
 from sculpt_framework.registry import name_of
-from sculpt_framework.sculpting.snapshot import Snapshot
 from sculpt_framework.serialization import read_config
+from sculpt_framework.snapshot import Snapshot
 from sculpt_framework.viewing.frames import FOLDER, LIVE, step_path, write_frame
 from sculpt_plugins.observers.viser.config import ViserConfig
 

@@ -1,0 +1,60 @@
+"""What a notebook or a program needs, in one place; ``sculpt_framework`` offers it under the same names."""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import cast
+
+from sculpt_framework import registry
+from sculpt_framework.config import DatasetConfig, MethodConfig
+from sculpt_framework.engine.progress import Report
+from sculpt_framework.engine.session import Session
+from sculpt_framework.evaluation.painted import PaintedMesh
+from sculpt_framework.reconstructor import Host, Moment, Reconstructor, StepReport
+from sculpt_framework.types import Box, Camera, Scene, View
+
+__all__ = [
+    "Box",
+    "Camera",
+    "Host",
+    "MethodConfig",
+    "Moment",
+    "PaintedMesh",
+    "Reconstructor",
+    "Report",
+    "Scene",
+    "Session",
+    "StepReport",
+    "View",
+    "load",
+    "methods",
+]
+
+
+def load(data: str | Path, dataset: DatasetConfig | None = None) -> Scene:
+    """The scene in a folder, or ``demo`` or ``demo:NAME``. The layout is recognised where no ``dataset`` says it.
+
+    Raises DataError for data that cannot be used, with what was found and what is expected.
+    """
+    chosen = dataset or cast(DatasetConfig, registry.default("dataset", "auto"))
+    where = str(Path(data).absolute()) if Path(data).exists() else str(data)
+    return replace(chosen.build(where).load(), data=where)
+
+
+class Methods(Mapping[str, Callable[[], MethodConfig]]):
+    """Every method that is installed, by name: what makes its config, which ``dataclasses.replace`` changes."""
+
+    def __getitem__(self, name: str) -> Callable[[], MethodConfig]:
+        """Raises KeyError for a name there is not."""
+        if registry.spelled(name, registry.method_names()) is None:
+            raise KeyError(name)
+        return registry.load_method(name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(registry.method_names())
+
+    def __len__(self) -> int:
+        return len(registry.method_names())
+
+
+methods: Mapping[str, Callable[[], MethodConfig]] = Methods()

@@ -6,9 +6,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sculpt_framework.binders import Binding
+from sculpt_framework.losses import Term
 
 
-class Constraint(ABC):
+class Constraint(Term, ABC):
     @abstractmethod
     def __call__(self, binding: Binding) -> Float[Tensor, ""]:
         """The mean penalty over faces and Gaussians; 0 where the constraint holds, finite for any triangle."""

@@ -1,11 +1,16 @@
-"""Slot ``losses``: the terms of the outer objective. ``photometric`` is also the inner objective."""
+"""Slot ``losses``: the terms of the outer objective; one that says so is the inner objective, too.
+
+A term may own parameters (``parameter_groups``), such as an exposure per image: they learn in every step that looks at
+them, are kept in checkpoints, and come back when a run is resumed.
+"""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 from jaxtyping import Float
-from torch import Tensor
+from torch import Tensor, nn
 
 from sculpt_framework.extractors import Extraction
 from sculpt_framework.types import Camera, Rendering, Surface
@@ -13,10 +18,14 @@ from sculpt_framework.types import Camera, Rendering, Surface
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Target:
-    """What a rendering is compared with: the image over the same background, and its coverage."""
+    """What a rendering is compared with: the image over the same background, its coverage, and which view it is."""
 
     rgb: Float[Tensor, "h w 3"]
     alpha: Float[Tensor, "h w"] | None
+    name: str = ""
+    """Of the view, as ``TrainingImage.name``."""
+    camera: Camera | None = None
+    """Of the rendering, in the object frame; None where it is not known."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -33,25 +42,47 @@ class TrainingImage:
     def over(self, background: Float[Tensor, " 3"]) -> Target:
         """What a rendering over this background should look like."""
         if self.alpha is None:
-            return Target(rgb=self.premultiplied, alpha=None)
-        return Target(rgb=self.premultiplied + (1 - self.alpha)[..., None] * background, alpha=self.alpha)
+            return Target(rgb=self.premultiplied, alpha=None, name=self.name, camera=self.camera)
+        rgb = self.premultiplied + (1 - self.alpha)[..., None] * background
+        return Target(rgb=rgb, alpha=self.alpha, name=self.name, camera=self.camera)
 
 
-class ImageLoss(ABC):
+TermParameters = Sequence[tuple[Sequence[nn.Parameter], float]]
+"""Parameters of a term, each group with its learning rate."""
+
+
+class Term:
+    """What all terms may do beside saying how bad something is."""
+
+    def begin(self, images: Sequence["TrainingImage"]) -> None:
+        """A stage begins, in which these are the images: whoever compares views with one another keeps them."""
+        return
+
+    def parameter_groups(self) -> TermParameters:
+        """What the term learns itself: the same parameters each time, from the first ``begin`` on."""
+        return ()
+
+
+class ImageLoss(Term, ABC):
     """A term of one view's rendering."""
+
+    inner: ClassVar[bool] = False
+    """The Gaussians learn their colours from it, in the inner loop (paper, eq. 11). A run needs such a term."""
+    outline: ClassVar[bool] = False
+    """It looks at masks alone: what a silhouette stage goes by (paper, 3.3)."""
 
     @abstractmethod
     def __call__(self, rendering: Rendering, target: Target) -> Float[Tensor, ""]: ...
 
 
-class GeometryLoss(ABC):
+class GeometryLoss(Term, ABC):
     """A term of the extracted surface and the field around it."""
 
     @abstractmethod
     def __call__(self, extraction: Extraction) -> Float[Tensor, ""]: ...
 
 
-class ViewsLoss(ABC):
+class ViewsLoss(Term, ABC):
     """A term of the extracted surface and of what the photographs show of it, without Gaussians between the two."""
 
     @property

@@ -172,7 +172,7 @@ def fit_seeds(parts: Parts) -> None:
 def build_objectives(config: SculptingConfig) -> Objectives:
     """Sort the configured terms by what they look at.
 
-    The inner loop needs a photometric term and the outer one something that sees images: ConfigError otherwise.
+    The inner loop needs a term to learn colours from, a silhouette stage one that looks at masks: else ConfigError.
     """
     images: list[Weighted[ImageLoss]] = []
     geometry: list[Weighted[GeometryLoss]] = []
@@ -185,14 +185,14 @@ def build_objectives(config: SculptingConfig) -> Objectives:
             views.append(Weighted(name=name, weight=loss.weight, term=term))
         else:
             geometry.append(Weighted(name=name, weight=loss.weight, term=term))
-    colours = [objective.term for objective in images if objective.name != SILHOUETTE]
-    silhouettes = [objective for objective in images if objective.name == SILHOUETTE]
+    colours = [objective for objective in images if objective.term.inner]
+    silhouettes = [objective for objective in images if objective.term.outline]
     if not colours:
-        raise ConfigError(f"--losses names no term that compares colours; add {PHOTOMETRIC}")
+        raise ConfigError(f"--losses names no term that Gaussians learn colours from; add {PHOTOMETRIC}")
     if not silhouettes and any(stage.silhouette_only for stage in config.trainer.stages):
         raise ConfigError(f"the method has a silhouette stage but no {SILHOUETTE} loss; add it to --losses")
     return Objectives(
-        photometric=colours[0],
+        inner=colours[0],
         images=images,
         silhouettes=silhouettes,
         geometry=geometry,

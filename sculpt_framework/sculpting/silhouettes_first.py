@@ -8,7 +8,7 @@ from typing import Any
 from sculpt_framework.errors import TrainingFailed
 from sculpt_framework.geometry.signed_distance import EmptySurfaceError
 from sculpt_framework.losses import TrainingImage
-from sculpt_framework.sculpting.assembly import SILHOUETTE, Parts, find_seeds, set_level
+from sculpt_framework.sculpting.assembly import Parts, find_seeds, set_level
 from sculpt_framework.sculpting.config import SculptingConfig, StageConfig
 from sculpt_framework.sculpting.images import pixel_footprint, prepare_images
 from sculpt_framework.sculpting.trainer import BiLevelTrainer
@@ -72,7 +72,7 @@ def _fit(
             break
         settled = trainer.settle(images, stage, 1.0)
         report = trainer.update(settled, images, stage, _LAST_RATE ** (step / _STEPS))
-        losses.append(report.terms[SILHOUETTE])
+        losses.append(sum(report.terms[each.name] for each in trainer.objectives.silhouettes))
         before, now = losses[-2 * _WINDOW : -_WINDOW], losses[-_WINDOW:]
         if len(before) == _WINDOW and sum(now) > (1 - _GAIN) * sum(before):
             break

@@ -21,11 +21,12 @@ from sculpt_framework.constraints import Constraint
 from sculpt_framework.engine.parallel import Alone, Processes
 from sculpt_framework.extractors import Extraction, Extractor
 from sculpt_framework.fields import Field
-from sculpt_framework.losses import GeometryLoss, ImageLoss, TrainingImage, ViewsLoss
+from sculpt_framework.losses import GeometryLoss, ImageLoss, Term, TrainingImage, ViewsLoss
 from sculpt_framework.rasterizers import Rasterizer
 from sculpt_framework.sculpting.config import StageConfig, TrainerConfig
 from sculpt_framework.sculpting.falling import Falling
 from sculpt_framework.sculpting.gaussian_scene import GaussianScene, assemble
+from sculpt_framework.sculpting.own_parameters import OwnParameters
 from sculpt_framework.sculpting.regions import Frozen, Region, frozen_rows, signed_distance, untaught
 from sculpt_framework.sculpting.resting import Resting
 from sculpt_framework.sculpting.still_faces import StillFaces
@@ -33,8 +34,6 @@ from sculpt_framework.sculpting.trust_region import TrustRegion
 from sculpt_framework.sculpting.view_gradients import ViewGradients, Walk, Weighted
 from sculpt_framework.types import Surface
 
-_COLORS = "photometric"
-"""The inner loop's image term, in what it tells."""
 _CHUNK, _LEAST_WARM_UP = 10, 30
 """Colour steps between two looks at the clock while colours are warmed up, and those that there are in any case."""
 _SHORTEST_PASS = 50
@@ -43,7 +42,7 @@ _SHORTEST_PASS = 50
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Objectives:
-    photometric: ImageLoss
+    inner: Weighted[ImageLoss]
     """The inner loop's image term."""
     images: Sequence[Weighted[ImageLoss]]
     silhouettes: Sequence[Weighted[ImageLoss]]
@@ -51,6 +50,11 @@ class Objectives:
     geometry: Sequence[Weighted[GeometryLoss]]
     views: Sequence[Weighted[ViewsLoss]]
     constraints: Sequence[Weighted[Constraint]]
+
+    @property
+    def terms(self) -> list[Term]:
+        """Each once."""
+        return [each.term for each in (*self.images, *self.geometry, *self.views, *self.constraints)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,6 +118,7 @@ class BiLevelTrainer:
         """Factors on the learning rates of the schedule."""
         self.trust = TrustRegion(config.trust_cells, [p for group in groups for p in group.parameters])
         self.objectives = objectives
+        self.own = OwnParameters(objectives.terms)
         self.resting = Resting(config.rest_after)
         self.still_faces = StillFaces(config.still_cells)
         self._config = config
@@ -126,8 +131,7 @@ class BiLevelTrainer:
 
     def take_images(self, images: Sequence[TrainingImage]) -> None:
         """From here on these are the images that the steps are given."""
-        for objective in self.objectives.views:
-            objective.term.begin(images)
+        self.own.begin(images)
 
     def begin_stage(self) -> None:
         """Images are others from here on: views come in a new order, and Gaussians of all faces learn from them."""
@@ -183,7 +187,7 @@ class BiLevelTrainer:
         joint = not self._config.gradient_isolation
         gaussians = assemble(binding, self.scene.harmonics(binding.means, degree=self._degree(0), learn=joint))
         seeing = self.objectives.silhouettes if stage.silhouette_only else self._awake()
-        walk, terms = self.views.see(gaussians, images, views, seeing, self.processes)
+        walk, terms = self.views.see(gaussians, images, views, seeing, self.processes, self.own)
         seen = tuple(terms)
         for objective in self.objectives.views if not stage.silhouette_only else ():
             terms[objective.name] = self._compare(objective, settled.surface, images, walk)
@@ -206,10 +210,11 @@ class BiLevelTrainer:
             table.step(surface_rate, still=frozen_rows(self.frozen, self.extractor.grid, table.keys))
         step_kept = self.trust.shorten(before, self.signed_distance, surface_rate)
         self._check_shape()
+        self.own.step(rate_factor)
         if joint:
             self.scene.step(rate_factor * self.gaussian_rate)
         rows = [leaf for table in self.extractor.tables.values() for leaf in table.leaves.values()]
-        self.processes.align([*self.optimizer.parameters, *rows, *self.scene.learning])
+        self.processes.align([*self.optimizer.parameters, *rows, *self.scene.learning, *self.own.parameters])
         return StepReport(
             loss=sum(terms.values()),
             terms=terms,
@@ -245,7 +250,7 @@ class BiLevelTrainer:
         still = None if moving is None else ~moving
         falling = Falling(max(len(images), _SHORTEST_PASS), self._config.inner_gain)
         batch = self._config.inner_batch or self.processes.count
-        colors = [Weighted(name=_COLORS, weight=1.0, term=self.objectives.photometric)]
+        inner = replace(self.objectives.inner, weight=1.0)
         for step in range(0, steps, batch):
             count = min(batch, steps - step)
             before, after = self.inner_total, self.inner_total + count
@@ -265,18 +270,20 @@ class BiLevelTrainer:
                     # A copy: what gradients are to pass may not be made of a view without any.
                     colors_now = self.scene.harmonics(bound.means, degree=degree, learn=False).clone()
                 sh = colors_now.index_copy(0, faces, sh)
-            walk, terms = self.views.see(assemble(bound, sh), images, count, colors, self.processes)
+            walk, terms = self.views.see(assemble(bound, sh), images, count, [inner], self.processes, self.own)
             awake = [each for each in self.objectives.constraints if learn_places and self.resting.due(each.name)]
             for constraint in awake:
                 terms[constraint.name] = walk.add(constraint.weight * constraint.term(bound))
             walk.back()
             self._check_terms(terms)
             for constraint in awake:
-                self.resting.saw(constraint.name, terms[constraint.name], terms[_COLORS])
-            total, taken = total + terms[_COLORS] * count, taken + count
-            self.scene.step(self.gaussian_rate * (1.0 if not self._config.warm_start else rate_factor), still)
+                self.resting.saw(constraint.name, terms[constraint.name], terms[inner.name])
+            total, taken = total + terms[inner.name] * count, taken + count
+            rate = self.gaussian_rate * (1.0 if not self._config.warm_start else rate_factor)
+            self.scene.step(rate, still)
+            self.own.step(rate)
             self.inner_total = after
-            if not falling.after(terms[_COLORS], count):
+            if not falling.after(terms[inner.name], count):
                 break
         return (total / taken if taken else None), binding
 
@@ -306,7 +313,8 @@ class BiLevelTrainer:
             value = float(term.detach())
             if term.requires_grad:
                 term.backward()
-        (value,) = self.processes.reduce([leaf], {objective.name: value}).values()
+        own = [parameter for group, _ in objective.term.parameter_groups() for parameter in group]
+        (value,) = self.processes.reduce([leaf, *own], {objective.name: value}).values()
         if leaf.grad is not None and surface.vertices.requires_grad:
             walk.roots.append(surface.vertices)
             walk.gradients.append(leaf.grad)
@@ -324,12 +332,12 @@ class BiLevelTrainer:
     def _note_rest(self, terms: Mapping[str, float]) -> None:
         """Of image terms, what they came to."""
         for objective in self.objectives.images:
-            if objective.name in terms and objective.term is not self.objectives.photometric:
+            if objective.name in terms and objective.term is not self.objectives.inner.term:
                 self.resting.saw(objective.name, terms[objective.name], sum(terms.values()))
 
     def _awake(self) -> Sequence[Weighted[ImageLoss]]:
         """The image terms that are evaluated in this step: what compares colours always is, if it has a weight."""
-        always, weighty = self.objectives.photometric, [each for each in self.objectives.images if each.weight > 0]
+        always, weighty = self.objectives.inner.term, [each for each in self.objectives.images if each.weight > 0]
         return [each for each in weighty if each.term is always or self.resting.due(each.name)]
 
     def _zero_grad(self) -> None:

@@ -13,6 +13,7 @@ from sculpt_framework.losses import ImageLoss, TrainingImage
 from sculpt_framework.rasterizers import Rasterizer
 from sculpt_framework.sculpting.config import TrainerConfig
 from sculpt_framework.sculpting.gaussian_scene import as_leaves, tensor_pairs
+from sculpt_framework.sculpting.own_parameters import OwnParameters
 from sculpt_framework.types import Gaussians
 
 Term = TypeVar("Term")
@@ -46,14 +47,17 @@ class ViewGradients:
         count: int,
         objectives: Sequence[Weighted[ImageLoss]],
         processes: Processes,
+        own: OwnParameters,
     ) -> tuple["Walk", dict[str, float]]:
         """The mean gradient of the next views' image terms by the Gaussians, from where it goes on, and the terms.
 
         Each view's graph ends at the Gaussians and is freed before the next view is rendered. That is where processes
-        add up: Gaussians have far fewer numbers than what they are made of, and from here all go on alike.
+        add up: Gaussians have far fewer numbers than what they are made of, and from here all go on alike. What terms
+        learn themselves (``own``) has its gradient from these views alone.
         """
         drawn = [self._draw(images) for _ in range(count if objectives else 0)]
         leaves = as_leaves(gaussians)
+        own.zero_grad()
         terms = {objective.name: 0.0 for objective in objectives}
         for number in processes.share(len(drawn)):
             image, background = drawn[number]
@@ -69,7 +73,7 @@ class ViewGradients:
             if loss.requires_grad:
                 (loss / len(drawn)).backward()
         pairs = [(value, leaf) for value, leaf in tensor_pairs(gaussians, leaves) if leaf.requires_grad]
-        terms = processes.reduce([leaf for _, leaf in pairs], terms)
+        terms = processes.reduce([*(leaf for _, leaf in pairs), *own.parameters], terms)
         walk = Walk()
         for value, leaf in pairs:
             if leaf.grad is not None:

@@ -9,6 +9,8 @@ from sculpt_framework.types import Rendering
 
 
 class Photometric(ImageLoss):
+    inner = True
+
     def __init__(self, dssim: float):
         self._dssim = dssim
 

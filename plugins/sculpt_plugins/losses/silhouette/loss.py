@@ -10,6 +10,8 @@ from sculpt_framework.types import Rendering
 class Silhouette(ImageLoss):
     """Mean over pixels of |alpha - mask|^power; 0 where the image has no mask."""
 
+    outline = True
+
     def __init__(self, power: float):
         self._power = power
 

@@ -14,8 +14,9 @@ c channels, h rows, w columns, n points.
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
 import torch
-from jaxtyping import Float, Int64
+from jaxtyping import Bool, Float, Float64, Int64
 from torch import Tensor
 
 
@@ -40,6 +41,27 @@ class Camera:
         """The camera centre in the surrounding frame."""
         rotation, translation = self.world_to_camera[:3, :3], self.world_to_camera[:3, 3]
         return -rotation.T @ translation
+
+    def local(self, points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
+        """Points of the surrounding frame in the camera frame."""
+        pose = self.world_to_camera.double().cpu().numpy()
+        return points @ pose[:3, :3].T + pose[:3, 3]
+
+    def pixels(self, local: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 2"]:
+        """Column and row of points in the camera frame; NaN of points that are not in front of the camera."""
+        depth = np.where(local[:, 2:] > 0, local[:, 2:], np.nan)
+        return local[:, :2] / depth * (self.fx, self.fy) + (self.cx, self.cy)
+
+    def project(self, points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 2"]:
+        """Column and row of points of the surrounding frame; NaN of points that are not in front of the camera.
+
+        A point on the image's upper left corner is at (0, 0), one on its lower right at (width, height).
+        """
+        return self.pixels(self.local(points))
+
+    def shows(self, pixels: Float64[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
+        """Which of them are in the image, its border included; NaN is not."""
+        return np.all((pixels >= 0) & (pixels <= (self.width, self.height)), axis=1)
 
     def crop(self, x0: int, y0: int, width: int, height: int) -> "Camera":
         """The camera of the window whose upper left pixel is (column x0, row y0)."""

@@ -80,9 +80,6 @@ def pixels_of(
     points: Float64[np.ndarray, "n 3"], camera: Camera
 ) -> tuple[Int64[np.ndarray, " n"], Int64[np.ndarray, " n"]]:
     """Columns and rows of points that are in the camera's image."""
-    pose = camera.world_to_camera.double().numpy()
-    local = points @ pose[:3, :3].T + pose[:3, 3]
-    columns = camera.fx * local[:, 0] / local[:, 2] + camera.cx
-    rows = camera.fy * local[:, 1] / local[:, 2] + camera.cy
+    columns, rows = camera.project(points).T
     # What the camera's kernel found to be inside may be on the border by another rounding.
     return np.clip(columns, 0, camera.width - 1).astype(np.int64), np.clip(rows, 0, camera.height - 1).astype(np.int64)

@@ -211,11 +211,10 @@ def _folds(
 
 
 def _on_screen(vertices: Float64[np.ndarray, "v 3"], camera: Camera) -> Float64[np.ndarray, "v 2"]:
-    pose = camera.world_to_camera.double().cpu().numpy()
-    x, y, z = (vertices @ pose[:3, :3].T + pose[:3, 3]).T
-    if (z <= 0.0).any():
+    places = camera.project(vertices)
+    if np.isnan(places).any():
         raise ValueError("a vertex of the mesh is not in front of the camera")
-    return np.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], axis=1)
+    return places
 
 
 def _doubled_areas(corners: Float64[np.ndarray, "t 3 2"]) -> Float64[np.ndarray, " t"]:

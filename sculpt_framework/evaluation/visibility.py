@@ -110,9 +110,4 @@ def visible_distances(
 
 
 def _in_image(points: Float64[np.ndarray, "n 3"], camera: Camera) -> Bool[np.ndarray, " n"]:
-    pose = camera.world_to_camera.double().numpy()
-    local = points @ pose[:3, :3].T + pose[:3, 3]
-    depth = np.maximum(local[:, 2], 1e-12)
-    column, row = camera.fx * local[:, 0] / depth + camera.cx, camera.fy * local[:, 1] / depth + camera.cy
-    inside = (column >= 0) & (column <= camera.width) & (row >= 0) & (row <= camera.height)
-    return inside & (local[:, 2] > 0)
+    return camera.shows(camera.project(points))

@@ -68,8 +68,7 @@ def draw_mesh(vertices: Vertices, faces: Faces, camera: Camera, *, closed: bool 
 
     A surface known to be ``closed``, seen from outside, is drawn in less time.
     """
-    pose = camera.world_to_camera.double().numpy()
-    local = vertices @ pose[:3, :3].T + pose[:3, 3]
+    local = camera.local(vertices)
     inverse = np.where(local[:, 2] > 0, 1 / np.where(local[:, 2] > 0, local[:, 2], 1), 0)
     columns = camera.fx * local[:, 0] * inverse + camera.cx
     rows = camera.fy * local[:, 1] * inverse + camera.cy

@@ -76,10 +76,9 @@ class Disagreement:
 
 def look_at(photograph: Photograph, vertices: Vertices, faces: Faces) -> SeenSurface:
     """Draw a closed mesh, in the frame that the camera's pose leads from."""
-    pose = photograph.camera.world_to_camera.double().numpy()
     pixels = draw_mesh(vertices, faces, photograph.camera, closed=True)
     planes = np.empty((len(faces), 4))
-    kernels.planes(vertices @ pose[:3, :3].T + pose[:3, 3], faces, planes)
+    kernels.planes(photograph.camera.local(vertices), faces, planes)
     return SeenSurface(
         photograph=photograph,
         pixels=pixels,

@@ -120,14 +120,9 @@ def repeated_views(views: Sequence[View], box: Box) -> tuple[tuple[str, str], ..
 def _sees(view: View, box: Box) -> bool:
     if view.alpha is not None:
         return int((view.alpha > 0.5).sum()) >= _OBJECT_PIXELS
-    camera, pose = view.camera, view.camera.world_to_camera.double().numpy()
     low, high = box.minimum.double().numpy(), box.maximum.double().numpy()
     unit = (np.stack(np.meshgrid(*[np.arange(9)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)) / 8
-    local = (low + unit * (high - low)) @ pose[:3, :3].T + pose[:3, 3]
-    depth = np.maximum(local[:, 2], 1e-9)
-    column, row = camera.fx * local[:, 0] / depth + camera.cx, camera.fy * local[:, 1] / depth + camera.cy
-    inside = (local[:, 2] > 0) & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
-    return bool(inside.any())
+    return bool(view.camera.shows(view.camera.project(low + unit * (high - low))).any())
 
 
 def _object(view: View) -> tuple[Grey, Mask]:

@@ -22,7 +22,7 @@ def box_outline(camera: Camera, box: Box, share: float = 1.0) -> Bool[np.ndarray
     inside = np.zeros((camera.height, camera.width), np.uint8)
     # Far outside the image a polygon's corners may not fit the drawing's integers.
     limit = 50 * max(camera.width, camera.height)
-    hull = cv2.convexHull(np.round(_pixels(camera, local).clip(-limit, limit)).astype(np.int32))
+    hull = cv2.convexHull(np.round(camera.pixels(local).clip(-limit, limit)).astype(np.int32))
     cv2.fillConvexPoly(inside, hull, (1,))
     return inside.astype(bool)
 
@@ -40,7 +40,7 @@ def box_edges(camera: Camera, box: Box) -> Float64[np.ndarray, "n 2 2"]:
             along = np.clip((near - start[2]) / (end[2] - start[2]), 0, 1) if start[2] != end[2] else 0.0
             crossing = start + along * (end - start)
             start, end = (crossing if corner[2] < near else corner for corner in (start, end))
-            edges.append(_pixels(camera, np.stack([start, end])))
+            edges.append(camera.pixels(np.stack([start, end])))
     return np.array(edges, np.float64).reshape(-1, 2, 2)
 
 
@@ -49,9 +49,4 @@ def _corners(camera: Camera, box: Box, share: float) -> Float64[np.ndarray, "8 3
     middle, half = box.center.double().numpy(), 0.5 * (box.maximum - box.minimum).double().numpy()
     low, high = middle - share * half, middle + share * half
     corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
-    pose = camera.world_to_camera.double().numpy()
-    return corners @ pose[:3, :3].T + pose[:3, 3]
-
-
-def _pixels(camera: Camera, local: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 2"]:
-    return local[:, :2] / local[:, 2:] * (camera.fx, camera.fy) + (camera.cx, camera.cy)
+    return camera.local(corners)

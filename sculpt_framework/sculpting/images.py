@@ -75,14 +75,11 @@ def object_window(view: View, camera: Camera, box: Box) -> tuple[int, int, int, 
         first = np.array([columns[0], rows[0]], dtype=float)
         last = np.array([columns[-1] + 1, rows[-1] + 1], dtype=float)
     else:
-        signs = torch.tensor([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=torch.float64)
-        corners = signs * box.half_sides.double()
-        pose = camera.world_to_camera.double()
-        local = corners @ pose[:3, :3].T + pose[:3, 3]
-        if bool((local[:, 2] <= 1e-3).any()):
+        signs = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
+        local = camera.local(signs * box.half_sides.double().numpy())
+        if (local[:, 2] <= 1e-3).any():
             return 0, 0, camera.width, camera.height
-        pixels = local[:, :2] / local[:, 2:] * torch.tensor([camera.fx, camera.fy], dtype=torch.float64)
-        pixels = (pixels + torch.tensor([camera.cx, camera.cy], dtype=torch.float64)).numpy()
+        pixels = camera.pixels(local)
         first, last = pixels.min(axis=0), pixels.max(axis=0)
     margin = max(_MARGIN_PIXELS, _MARGIN_SHARE * float((last - first).max()))
     x0, y0 = np.floor(np.maximum(first - margin, low)).astype(int)

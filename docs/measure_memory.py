@@ -1,4 +1,4 @@
-"""Memory that training takes, beside what ``sculpting/foresight.py`` says: ``python docs/measure_memory.py``.
+"""Memory that training takes, beside what ``sculpting/memory_check.py`` says: ``python docs/measure_memory.py``.
 
 Linux only. Prints a line for every size tried, each in a process of its own, and the factors that fit best (least
 squares) how much more they take than the first one; what all have in common is there before a stage is entered.
@@ -16,7 +16,7 @@ from scipy.optimize import nnls
 
 from sculpt_framework import registry
 from sculpt_framework.engine.session import Session
-from sculpt_framework.sculpting import foresight
+from sculpt_framework.sculpting import memory_check
 from sculpt_framework.sculpting.config import SculptingConfig, of_sculpting
 from sculpt_framework.sculpting.images import prepare_image
 from sculpt_framework.stress.small import small_scene, trainer_of
@@ -36,7 +36,7 @@ def method(level: int, count: int) -> SculptingConfig:
     return replace(config, binder=binder, trainer=trainer, initializer=hull, observers=(), data="memory")
 
 
-def measured(level: int, pixels: int, count: int) -> tuple[foresight.Sizes, int]:
+def measured(level: int, pixels: int, count: int) -> tuple[memory_check.Sizes, int]:
     """What the steps of a run work on, and the peak of a process that does nothing else."""
     reading, writing = os.pipe()
     child = os.fork()
@@ -46,25 +46,25 @@ def measured(level: int, pixels: int, count: int) -> tuple[foresight.Sizes, int]
         os._exit(0)
     os.close(writing)
     with os.fdopen(reading) as pipe:
-        sizes = foresight.Sizes(**json.loads(pipe.read()))
+        sizes = memory_check.Sizes(**json.loads(pipe.read()))
     _, _, usage = os.wait4(child, 0)
     return sizes, usage.ru_maxrss << 10
 
 
-def run(level: int, pixels: int, count: int) -> foresight.Sizes:
+def run(level: int, pixels: int, count: int) -> memory_check.Sizes:
     scene = small_scene(pixels=pixels, views=3)
     session = Session(scene, method(level, count))
     session.run()
     images = [prepare_image(view, scene.box, 1.0, torch.device("cpu")) for view in scene.train]
-    return foresight.sizes(trainer_of(session), max(image.camera.width * image.camera.height for image in images))
+    return memory_check.sizes(trainer_of(session), max(image.camera.width * image.camera.height for image in images))
 
 
-def rows() -> Iterator[tuple[foresight.Sizes, int]]:
+def rows() -> Iterator[tuple[memory_check.Sizes, int]]:
     for level, pixels, count in SIZES:
         sizes, peak = measured(level, pixels, count)
         sys.stdout.write(
             f"level {level}, {sizes.pixels} pixels, {sizes.cells} cells, {sizes.gaussians} Gaussians: "
-            f"{peak / 2**20:.0f} MiB, of which a step was foreseen to take {foresight.step_bytes(sizes) / 2**20:.0f}\n"
+            f"{peak / 2**20:.0f} MiB, a step foreseen to take {memory_check.step_bytes(sizes) / 2**20:.0f}\n"
         )
         sys.stdout.flush()
         yield sizes, peak

@@ -26,6 +26,8 @@ class Target:
     """Of the view, as ``TrainingImage.name``."""
     camera: Camera | None = None
     """Of the rendering, in the object frame; None where it is not known."""
+    background: Float[Tensor, " 3"] | None = None
+    """What both are in front of; None where there is none: the image is all there is."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -44,7 +46,7 @@ class TrainingImage:
         if self.alpha is None:
             return Target(rgb=self.premultiplied, alpha=None, name=self.name, camera=self.camera)
         rgb = self.premultiplied + (1 - self.alpha)[..., None] * background
-        return Target(rgb=rgb, alpha=self.alpha, name=self.name, camera=self.camera)
+        return Target(rgb=rgb, alpha=self.alpha, name=self.name, camera=self.camera, background=background)
 
 
 TermParameters = Sequence[tuple[Sequence[nn.Parameter], float]]

@@ -9,8 +9,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
 
+from sculpt_framework.child_processes import die_with_parent
 from sculpt_framework.experiments.engine import start_process
-from sculpt_framework.leash import die_with_parent
 
 GRACE_SECONDS = 25.0
 """How long an interrupted run may take to save: Slurm kills 30 s after it has asked."""

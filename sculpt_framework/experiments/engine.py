@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO
 
+from sculpt_framework.child_processes import leashed
 from sculpt_framework.errors import DeviceError, OutputError
-from sculpt_framework.leash import leashed
 
 KILLED = -int(signal.SIGKILL)
 """Exit code of a process that somebody killed, or that went down with its machine."""

@@ -19,14 +19,14 @@ from sculpt_framework.extractors import Extractor
 from sculpt_framework.geometry.signed_distance import EmptySurfaceError, SdfFunction
 from sculpt_framework.losses import TrainingImage
 from sculpt_framework.reconstructor import Host, Moment, Reconstructor, StepReport
-from sculpt_framework.sculpting import assembly, foresight
+from sculpt_framework.sculpting import assembly, memory_check
 from sculpt_framework.sculpting.config import SculptingConfig, StageConfig
-from sculpt_framework.sculpting.idle_bands import Judge, spare_bands
 from sculpt_framework.sculpting.images import pixel_footprint, prepare_images
 from sculpt_framework.sculpting.initial_fit import fit_to_views, start_surface
 from sculpt_framework.sculpting.polish import polish
 from sculpt_framework.sculpting.rates import Rates
 from sculpt_framework.sculpting.reconstruction import Reconstruction, object_gaussians, reconstruct, world_mesh
+from sculpt_framework.sculpting.sh_pruning import Judge, prune_bands
 from sculpt_framework.sculpting.silhouettes_first import shape_by_silhouettes
 from sculpt_framework.sculpting.state import capture, restore, undisturbed
 from sculpt_framework.sculpting.steering import Wishes
@@ -96,7 +96,7 @@ class Sculpting(Reconstructor):
         rate = self._rates.surface(factor, moment.step, self._host.progress())
         report = self.trainer.update(settled, self.images, self._stage_config, rate)
         self._forget_shown()
-        bands = spare_bands(self.trainer, settled.binding, self._judge, self.config.trainer, moment.step + 1)
+        bands = prune_bands(self.trainer, settled.binding, self._judge, self.config.trainer, moment.step + 1)
         return StepReport(
             loss=report.loss,
             terms=report.terms,
@@ -107,7 +107,7 @@ class Sculpting(Reconstructor):
                 "gaussians": report.gaussians,
                 "step_kept": report.step_kept,
             },
-            decisions=[*self.trainer.resting.news(), *bands],
+            decisions=[*self.trainer.gating.news(), *bands],
         )
 
     def finish(self) -> None:
@@ -150,7 +150,7 @@ class Sculpting(Reconstructor):
 
     def _load_images(self, index: int) -> None:
         stage, views, box = self.config.trainer.stages[index], self._host.views, self._box
-        foresight.check_memory(self.trainer, views, box, stage, index, self._host.warn)
+        memory_check.check_memory(self.trainer, views, box, stage, index, self._host.warn)
         self.images = prepare_images(views, box, stage.image_scale, self.parts.device)
         assembly.take_images(self.trainer, self.config.trainer, self.images)
         self.trainer.scene.blur = math.sqrt(self.config.trainer.low_pass_px2) * pixel_footprint(self.images)

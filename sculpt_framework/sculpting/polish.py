@@ -8,8 +8,8 @@ import torch
 
 from sculpt_framework.losses import TrainingImage
 from sculpt_framework.sculpting.config import TrainerConfig
-from sculpt_framework.sculpting.idle_bands import Judge
 from sculpt_framework.sculpting.reconstruction import object_gaussians
+from sculpt_framework.sculpting.sh_pruning import Judge
 from sculpt_framework.sculpting.trainer import BiLevelTrainer
 from sculpt_framework.types import Surface
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float64
+from jaxtyping import Float
 
 from sculpt_framework.evaluation.mesh import Mesh
 from sculpt_framework.evaluation.painted import PaintedMesh
@@ -37,13 +37,6 @@ def world_mesh(surface: Surface, box: Box) -> tuple[Mesh, np.ndarray]:
     points, faces, _ = compact(vertices, faces[kept])
     world = points * box.scale + box.center.double().numpy()
     return Mesh(vertices=world, faces=faces), kept
-
-
-@torch.no_grad()
-def face_centers(surface: Surface, box: Box) -> Float64[np.ndarray, "f 3"]:
-    """The middle of each face, in world frame."""
-    corners = surface.vertices.double()[surface.faces].cpu().numpy()
-    return corners.mean(axis=1) * box.scale + box.center.double().numpy()
 
 
 @torch.no_grad()

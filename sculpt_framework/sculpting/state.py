@@ -29,7 +29,7 @@ def capture(trainer: BiLevelTrainer, stage: int, generator: torch.Generator) -> 
         _put(state, f"extractor.{name}", table.state())
     _put(state, "scene", trainer.scene.state())
     _put(state, "terms", trainer.own.state())
-    _put(state, "resting", trainer.resting.state())
+    _put(state, "resting", trainer.gating.state())
     _put(state, "still_faces", trainer.still_faces.state())
     return {name: tensor.detach().clone().contiguous() for name, tensor in state.items()}
 
@@ -54,7 +54,7 @@ def restore(trainer: BiLevelTrainer, generator: torch.Generator, state: Mapping[
         table.load_state(_get(state, f"extractor.{name}"))
     trainer.scene.load_state(_get(state, "scene"))
     trainer.own.load_state(_get(state, "terms"))
-    trainer.resting.load_state(_get(state, "resting"))
+    trainer.gating.load_state(_get(state, "resting"))
     trainer.still_faces.load_state(_get(state, "still_faces"))
 
 

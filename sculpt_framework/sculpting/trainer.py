@@ -24,12 +24,12 @@ from sculpt_framework.fields import Field
 from sculpt_framework.losses import GeometryLoss, ImageLoss, Term, TrainingImage, ViewsLoss
 from sculpt_framework.rasterizers import Rasterizer
 from sculpt_framework.sculpting.config import StageConfig, TrainerConfig
-from sculpt_framework.sculpting.falling import Falling
 from sculpt_framework.sculpting.gaussian_scene import GaussianScene, assemble
 from sculpt_framework.sculpting.own_parameters import OwnParameters
+from sculpt_framework.sculpting.plateau import Plateau
 from sculpt_framework.sculpting.regions import Frozen, Region, frozen_rows, signed_distance, untaught
-from sculpt_framework.sculpting.resting import Resting
 from sculpt_framework.sculpting.still_faces import StillFaces
+from sculpt_framework.sculpting.term_gating import TermGating
 from sculpt_framework.sculpting.trust_region import TrustRegion
 from sculpt_framework.sculpting.view_gradients import ViewGradients, Walk, Weighted
 from sculpt_framework.types import Surface
@@ -119,7 +119,7 @@ class BiLevelTrainer:
         self.trust = TrustRegion(config.trust_cells, [p for group in groups for p in group.parameters])
         self.objectives = objectives
         self.own = OwnParameters(objectives.terms)
-        self.resting = Resting(config.rest_after)
+        self.gating = TermGating(config.rest_after)
         self.still_faces = StillFaces(config.still_cells)
         self._config = config
         self.processes = processes or Alone()
@@ -248,7 +248,7 @@ class BiLevelTrainer:
             return None, binding
         total, taken, colors_now = 0.0, 0, None
         still = None if moving is None else ~moving
-        falling = Falling(max(len(images), _SHORTEST_PASS), self._config.inner_gain)
+        plateau = Plateau(max(len(images), _SHORTEST_PASS), self._config.inner_gain)
         batch = self._config.inner_batch or self.processes.count
         inner = replace(self.objectives.inner, weight=1.0)
         for step in range(0, steps, batch):
@@ -271,19 +271,19 @@ class BiLevelTrainer:
                     colors_now = self.scene.harmonics(bound.means, degree=degree, learn=False).clone()
                 sh = colors_now.index_copy(0, faces, sh)
             walk, terms = self.views.see(assemble(bound, sh), images, count, [inner], self.processes, self.own)
-            awake = [each for each in self.objectives.constraints if learn_places and self.resting.due(each.name)]
+            awake = [each for each in self.objectives.constraints if learn_places and self.gating.due(each.name)]
             for constraint in awake:
                 terms[constraint.name] = walk.add(constraint.weight * constraint.term(bound))
             walk.back()
             self._check_terms(terms)
             for constraint in awake:
-                self.resting.saw(constraint.name, terms[constraint.name], terms[inner.name])
+                self.gating.saw(constraint.name, terms[constraint.name], terms[inner.name])
             total, taken = total + terms[inner.name] * count, taken + count
             rate = self.gaussian_rate * (1.0 if not self._config.warm_start else rate_factor)
             self.scene.step(rate, still)
             self.own.step(rate)
             self.inner_total = after
-            if not falling.after(terms[inner.name], count):
+            if not plateau.after(terms[inner.name], count):
                 break
         return (total / taken if taken else None), binding
 
@@ -333,12 +333,12 @@ class BiLevelTrainer:
         """Of image terms, what they came to."""
         for objective in self.objectives.images:
             if objective.name in terms and objective.term is not self.objectives.inner.term:
-                self.resting.saw(objective.name, terms[objective.name], sum(terms.values()))
+                self.gating.saw(objective.name, terms[objective.name], sum(terms.values()))
 
     def _awake(self) -> Sequence[Weighted[ImageLoss]]:
         """The image terms that are evaluated in this step: what compares colours always is, if it has a weight."""
         always, weighty = self.objectives.inner.term, [each for each in self.objectives.images if each.weight > 0]
-        return [each for each in weighty if each.term is always or self.resting.due(each.name)]
+        return [each for each in weighty if each.term is always or self.gating.due(each.name)]
 
     def _zero_grad(self) -> None:
         self.optimizer.zero_grad()

@@ -11,7 +11,7 @@ from torch import Tensor
 from sculpt_framework.losses import TrainingImage
 from sculpt_framework.sculpting.assembly import Parts
 from sculpt_framework.sculpting.config import TrainerConfig
-from sculpt_framework.sculpting.falling import Falling
+from sculpt_framework.sculpting.plateau import Plateau
 from sculpt_framework.sculpting.still_faces import StillFaces
 from sculpt_framework.types import Scene, Surface
 from sculpt_plugins.appearances.per_gaussian.config import PerGaussianConfig
@@ -23,10 +23,10 @@ CELL = 0.1
 # -- whether a loss falls ----------------------------------------------------------------------------------------------
 
 
-def evaluations(falling: Falling, losses: list[float]) -> int:
+def evaluations(plateau: Plateau, losses: list[float]) -> int:
     """How many of the losses are asked for."""
     for count, loss in enumerate(losses, 1):
-        if not falling.after(loss):
+        if not plateau.after(loss):
             return count
     return len(losses) + 1
 
@@ -38,27 +38,27 @@ def evaluations(falling: Falling, losses: list[float]) -> int:
 def test_a_pass_has_to_lower_the_loss(factor: float, passes: int):
     """By a tenth; views of a pass differ by far more than that."""
     losses = [view * factor**number for number in range(6) for view in (1.0, 20.0, 3.0)]
-    assert evaluations(Falling(3, gain=0.1), losses) == 3 * passes + (passes == 6)
+    assert evaluations(Plateau(3, gain=0.1), losses) == 3 * passes + (passes == 6)
 
 
 def test_it_ends_once_the_loss_has_stopped_to_fall():
     losses = [1.0] * 4 + [0.5] * 4 + [0.25] * 4 + [0.249] * 4 + [0.1] * 4
-    assert evaluations(Falling(4, gain=0.05), losses) == 16
+    assert evaluations(Plateau(4, gain=0.05), losses) == 16
 
 
 def test_without_a_gain_it_never_ends():
-    assert evaluations(Falling(1, gain=0.0), [1.0, 2.0, 4.0]) == 4
+    assert evaluations(Plateau(1, gain=0.0), [1.0, 2.0, 4.0]) == 4
 
 
 def test_batches_count_as_many_as_they_have():
-    falling = Falling(4, gain=0.1)
-    assert [falling.after(1.0, 2) for _ in range(4)] == [True, True, True, False]
+    plateau = Plateau(4, gain=0.1)
+    assert [plateau.after(1.0, 2) for _ in range(4)] == [True, True, True, False]
 
 
 def test_what_is_not_finite_does_not_fall():
-    falling = Falling(1, gain=0.1)
-    assert falling.after(1.0)
-    assert not falling.after(math.nan)
+    plateau = Plateau(1, gain=0.1)
+    assert plateau.after(1.0)
+    assert not plateau.after(math.nan)
 
 
 # -- which faces have moved --------------------------------------------------------------------------------------------

@@ -23,7 +23,7 @@ from sculpt_framework.plan.options import with_options
 from sculpt_framework.plan.savings import savings
 from sculpt_framework.sculpting.assembly import build_parts
 from sculpt_framework.sculpting.config import PlanConfig
-from sculpt_framework.sculpting.resting import Resting
+from sculpt_framework.sculpting.term_gating import TermGating
 from sculpt_framework.serialization import read_config
 from sculpt_framework.types import Scene
 from sculpt_plugins.observers.recorder.config import RecorderConfig
@@ -169,33 +169,33 @@ def test_a_constraint_without_effect_rests_and_is_told(scene: Scene) -> None:
     # With one Gaussian on a face these two are constant.
     assert told["spacing"]["value"].startswith("rests")
     assert told["coverage"]["term"] == 0.0
-    spared = session.reconstructor.trainer.resting.spared
+    spared = session.reconstructor.trainer.gating.spared
     assert spared["spacing"] > 4
     assert "boundary" not in spared
 
 
 def test_rest_ends_when_a_term_acts_again() -> None:
-    resting = Resting(after=3)
+    gating = TermGating(after=3)
     for _ in range(3):
-        assert resting.due("hinge")
-        resting.saw("hinge", 0.0, 1.0)
-    assert [resting.due("hinge") for _ in range(6)] == [False, False, True, False, False, True]
-    again = Resting(after=3)
-    again.load_state(resting.state())
+        assert gating.due("hinge")
+        gating.saw("hinge", 0.0, 1.0)
+    assert [gating.due("hinge") for _ in range(6)] == [False, False, True, False, False, True]
+    again = TermGating(after=3)
+    again.load_state(gating.state())
     assert [again.due("hinge") for _ in range(3)] == [False, False, True]
-    resting.saw("hinge", 0.5, 1.0)
-    assert [resting.due("hinge") for _ in range(4)] == [True] * 4
-    assert [(told["item"], told["value"]) for told in resting.news()][-1] == ("hinge", "acts again")
-    assert resting.news() == []
-    assert resting.spared == {"hinge": 4}
+    gating.saw("hinge", 0.5, 1.0)
+    assert [gating.due("hinge") for _ in range(4)] == [True] * 4
+    assert [(told["item"], told["value"]) for told in gating.news()][-1] == ("hinge", "acts again")
+    assert gating.news() == []
+    assert gating.spared == {"hinge": 4}
 
 
 def test_a_term_that_acts_now_and_then_never_rests() -> None:
-    resting = Resting(after=3)
+    gating = TermGating(after=3)
     for value in (0.0, 0.0, 1.0) * 5:
-        assert resting.due("hinge")
-        resting.saw("hinge", value, 1.0)
-    never = Resting(after=0)
+        assert gating.due("hinge")
+        gating.saw("hinge", value, 1.0)
+    never = TermGating(after=0)
     for _ in range(10):
         never.saw("hinge", 0.0, 1.0)
         assert never.due("hinge")

@@ -151,6 +151,7 @@ def exposed(steps: int = 24, **changes: object) -> SculptingConfig:
     return replace(base, trainer=replace(base.trainer, stages=(STAGE,)))
 
 
+@pytest.mark.slow
 def test_an_exposure_is_learned_for_each_image(scene: sculpt.Scene, named: Named):
     named(ExposureConfig, "exposure")
     dim, gains = dimmed(scene)
@@ -190,6 +191,7 @@ def test_a_term_that_only_sees_images_teaches_no_colours(scene: sculpt.Scene, na
         sculpt.Session(scene, small_method(4, losses=losses))
 
 
+@pytest.mark.slow
 def test_depth_maps_alone_pull_a_ball_onto_the_object(named: Named, tmp_path: Path):
     named(DepthMapsConfig, "depth-maps")
     scene, truth = small_scene("blob", views=8), truth_of(demo_object("blob"))

@@ -10,7 +10,7 @@ _NOTHING = 1e-4
 """Share of the objective up to which a term has no effect."""
 
 
-class Resting:
+class TermGating:
     """Counts, so that whether a term is evaluated depends on the steps and not on the clock."""
 
     def __init__(self, after: int):

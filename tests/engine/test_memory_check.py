@@ -15,7 +15,7 @@ from sculpt_framework.evaluation.certificate import certify
 from sculpt_framework.events import Event
 from sculpt_framework.geometry.band import cells_at_level, discover
 from sculpt_framework.memory import available_bytes, in_words, peak_bytes
-from sculpt_framework.sculpting import foresight
+from sculpt_framework.sculpting import memory_check
 from sculpt_framework.sculpting.images import prepare_image
 from sculpt_framework.types import Scene
 from sculpt_plugins.datasets.blender.config import BlenderConfig
@@ -118,10 +118,10 @@ def begun(scene: Scene) -> Session:
 
 def checked(session: Session, left: int | None, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """What a run is warned of before its only stage, on a machine with so much memory left."""
-    monkeypatch.setattr(foresight, "available_bytes", lambda: left)
+    monkeypatch.setattr(memory_check, "available_bytes", lambda: left)
     warned: list[str] = []
     scene, (stage,) = session.scene, method_of(session).config.trainer.stages
-    foresight.check_memory(method_of(session).trainer, scene.train, scene.box, stage, 0, warned.append)
+    memory_check.check_memory(method_of(session).trainer, scene.train, scene.box, stage, 0, warned.append)
     return warned
 
 
@@ -132,7 +132,7 @@ def test_a_step_that_may_not_fit_is_warned_of_and_one_that_cannot_is_not_begun(
     images = [prepare_image(view, scene.box, 1.0, torch.device("cpu")) for view in scene.train]
     kept = sum(image.premultiplied.nbytes + (0 if image.alpha is None else image.alpha.nbytes) for image in images)
     largest = max(image.camera.width * image.camera.height for image in images)
-    step = foresight.step_bytes(foresight.sizes(method_of(begun).trainer, largest))
+    step = memory_check.step_bytes(memory_check.sizes(method_of(begun).trainer, largest))
     assert checked(begun, None, monkeypatch) == []
     assert checked(begun, kept + step, monkeypatch) == []
     (warning,) = checked(begun, kept + step - 1, monkeypatch)
@@ -145,16 +145,16 @@ def test_a_step_that_may_not_fit_is_warned_of_and_one_that_cannot_is_not_begun(
 def test_cells_of_the_next_level_are_foreseen(begun: Session):
     trainer = method_of(begun).trainer
     trainer.extract()
-    now = foresight.sizes(trainer, 0)
+    now = memory_check.sizes(trainer, 0)
     assert trainer.extraction is not None
     assert now.gaussians == len(trainer.extraction.surface.faces) * trainer.scene.binder.gaussians_per_face
     assert trainer.seeds is not None
     fine = trainer.extractor.grid.at_level(1)
     trainer.extractor.set_grid(fine)
     trainer.seeds = cells_at_level(trainer.seeds, 1)
-    foreseen = foresight.sizes(trainer, 0)
+    foreseen = memory_check.sizes(trainer, 0)
     trainer.extract()
-    found = foresight.sizes(trainer, 0)
+    found = memory_check.sizes(trainer, 0)
     assert foreseen.cells == pytest.approx(found.cells, rel=0.25)
     assert foreseen.gaussians == pytest.approx(found.gaussians, rel=0.25)
 
@@ -166,7 +166,7 @@ def test_a_stage_that_does_not_fit_leaves_the_mesh_of_the_one_before(scene: Scen
         asked.append(None)
         return GIB if len(asked) == 1 else 1 << 16
 
-    monkeypatch.setattr(foresight, "available_bytes", left)
+    monkeypatch.setattr(memory_check, "available_bytes", left)
     events: list[Event] = []
     session = Session(scene, small_config(stages=TWO_STAGES, steps=2), emit=events.append)
     result = session.run()

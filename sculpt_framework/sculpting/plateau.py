@@ -1,7 +1,7 @@
-"""Whether a loss that is drawn view by view still falls."""
+"""Whether a loss that is drawn view by view has come to a plateau."""
 
 
-class Falling:
+class Plateau:
     """Compares the mean of a loss over a pass of evaluations with that over the pass before.
 
     Single values say nothing: views differ by more than a loss falls from one step to the next.

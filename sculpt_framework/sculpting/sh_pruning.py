@@ -17,7 +17,7 @@ _GAIN_DB = 0.02
 """What bands bring at least, to be worth their rows."""
 
 
-def spare_bands(
+def prune_bands(
     trainer: BiLevelTrainer, binding: Binding, judge: Judge | None, config: TrainerConfig, outer: int
 ) -> list[dict[str, Any]]:
     """Give up the bands without which held-out views are as good, once all have learned for a while.

@@ -95,11 +95,13 @@ def test_killed_and_gone_on_with_it_ends_as_an_unbroken_one(installed: Path, sce
     assert json.loads((out / "metrics.json").read_text())["status"] == "finished"
 
 
+@pytest.mark.slow
 def test_a_batch_of_it(installed: Path, scenes: Path, tmp_path: Path):
     sculpt(installed, "batch", str(scenes), "ball", "--out", str(tmp_path / "out"), "--", "--steps", "5")
     assert [path.parent.name for path in sorted((tmp_path / "out").glob("runs/*/mesh.ply"))] == ["one", "two"]
 
 
+@pytest.mark.slow
 def test_it_is_watched(installed: Path, scenes: Path, tmp_path: Path):
     out = tmp_path / "run"
     more = ["--viewer", "--observers.viser.port", "0", "--steps", "400", "--data", str(scenes / "one")]

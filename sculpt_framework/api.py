@@ -6,29 +6,19 @@ from pathlib import Path
 from typing import cast
 
 from sculpt_framework import registry
-from sculpt_framework.config import DatasetConfig, MethodConfig
-from sculpt_framework.engine.progress import Report
-from sculpt_framework.engine.session import Session
-from sculpt_framework.evaluation.painted import PaintedMesh
-from sculpt_framework.reconstructor import Host, Moment, Reconstructor, StepReport
-from sculpt_framework.types import Box, Camera, Scene, View
-
-__all__ = [
-    "Box",
-    "Camera",
-    "Host",
-    "MethodConfig",
-    "Moment",
-    "PaintedMesh",
-    "Reconstructor",
-    "Report",
-    "Scene",
-    "Session",
-    "StepReport",
-    "View",
-    "load",
-    "methods",
-]
+from sculpt_framework.config import DatasetConfig
+from sculpt_framework.config import MethodConfig as MethodConfig
+from sculpt_framework.engine.progress import Report as Report
+from sculpt_framework.engine.session import Session as Session
+from sculpt_framework.evaluation.painted import PaintedMesh as PaintedMesh
+from sculpt_framework.reconstructor import Host as Host
+from sculpt_framework.reconstructor import Moment as Moment
+from sculpt_framework.reconstructor import Reconstructor as Reconstructor
+from sculpt_framework.reconstructor import StepReport as StepReport
+from sculpt_framework.types import Box as Box
+from sculpt_framework.types import Camera as Camera
+from sculpt_framework.types import Scene as Scene
+from sculpt_framework.types import View as View
 
 
 def load(data: str | Path, dataset: DatasetConfig | None = None) -> Scene:

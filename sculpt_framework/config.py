@@ -179,8 +179,9 @@ class MethodConfig(ABC):
     def renderer(self, folder: Path, scene: "Scene") -> "Callable[[Camera], Rendering]":
         """How a finished run in ``folder`` looks from a camera in world frame, on white: its mesh, in its colours.
 
-        Raises CheckpointError where the run has left nothing to draw.
+        Raises CheckpointError where what it is drawn from, beside the mesh, is not there.
         """
+        from sculpt_framework.engine.saving import MESH_NAME
         from sculpt_framework.export.drawn_mesh import draw_saved_mesh
 
-        return draw_saved_mesh(folder)
+        return draw_saved_mesh(folder / MESH_NAME)

@@ -105,11 +105,9 @@ def flags(config: MethodConfig) -> tuple[str, ...]:
 
 def _general(config: MethodConfig) -> tuple[str, ...]:
     """Fields that are one value each."""
-    return tuple(
-        each.name
-        for each in fields(config)
-        if each.name not in (*HIDDEN, *slots_of(type(config))) and not is_dataclass(getattr(config, each.name))
-    )
+    others = (*HIDDEN, *slots_of(type(config)))
+    own = (each.name for each in fields(config) if each.name not in others)
+    return tuple(name for name in own if not is_dataclass(getattr(config, name)))
 
 
 def _groups(config: MethodConfig) -> tuple[str, ...]:
@@ -160,8 +158,9 @@ def _options_type(config: MethodConfig) -> type[MethodConfig]:
         for each in fields(kind)
         if each.name in HIDDEN
     ]
+    names = _general(config)
     for general in fields(kind):
-        if general.name in _general(config):
+        if general.name in names:
             made.append((general.name, _general_option(general.name, general.type), getattr(config, general.name)))
     resume = tyro.conf.arg(metavar="RUN_DIR", help="Go on with the run saved there.", help_behavior_hint="")
     viewer = tyro.conf.arg(help="Short for adding the observer viser: watch in a browser.", help_behavior_hint="")

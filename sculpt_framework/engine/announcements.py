@@ -57,13 +57,12 @@ def step_taken(report: StepReport, *, progress: float, psnr: float | None, eta_s
 
 
 def run_ended(method: Reconstructor, milestones: Milestones, status: str, failure: str | None) -> dict[str, Any]:
-    """Of a result that has been measured."""
+    """Of a result that has just been measured: the last row is of it."""
     mesh = method.mesh()
-    sizes = {**method.sizes(), "faces": len(mesh.faces), "rss_mb": resident_megabytes()}
     return {
         "status": status,
         "failure": failure,
-        "final": {**milestones.rows[-1], **sizes},
+        "final": dict(milestones.rows[-1]),
         "certificate": asdict(certify(mesh.vertices, mesh.faces, self_intersections=True)),
         "milestones": milestones.shares(),
     }

@@ -242,7 +242,7 @@ class Session(Host):
     def mesh(self) -> PaintedMesh:
         """The surface now, or the result; world frame. Raises TrainingFailed before the start is made."""
         self._require_start()
-        mesh, colors = self.reconstructor.mesh(), self.reconstructor.colors()
+        colors, mesh = self.reconstructor.colors(), self.reconstructor.mesh()
         return PaintedMesh(vertices=mesh.vertices, faces=mesh.faces, colors=colors)
 
     def render(self, camera: Camera) -> Rendering:

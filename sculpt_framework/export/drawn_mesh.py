@@ -7,7 +7,6 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from sculpt_framework.errors import CheckpointError
 from sculpt_framework.evaluation.mesh import Mesh
 from sculpt_framework.export.mesh_files import read_colored_mesh
 from sculpt_framework.export.mesh_pixels import draw_mesh
@@ -29,11 +28,8 @@ def draw_mesh_in_colors(mesh: Mesh, colors: Float[np.ndarray, "v 3"], camera: Ca
     )
 
 
-def draw_saved_mesh(folder: Path) -> Callable[[Camera], Rendering]:
-    """How the mesh of a finished run looks from cameras in world frame. Raises CheckpointError if there is none."""
-    path = folder / "mesh.ply"
-    if not path.is_file():
-        raise CheckpointError(f"{folder} has no mesh.ply: the run has not finished; go on with --resume {folder}")
+def draw_saved_mesh(path: Path) -> Callable[[Camera], Rendering]:
+    """How a mesh file in world frame looks from cameras. Raises DataError if there is none."""
     vertices, faces, colors = read_colored_mesh(path)
     mesh = Mesh(vertices=vertices.astype(np.float64), faces=faces)
     painted = np.full(vertices.shape, GREY, np.float32) if colors is None else colors

@@ -215,7 +215,7 @@ class SculptingConfig(MethodConfig):
         return start_of_repair(self, self.repair, scene)
 
     def renderer(self, folder: Path, scene: "Scene") -> "Callable[[Camera], Rendering]":
-        from sculpt_framework.sculpting.saved_gaussians import draw_saved_gaussians
+        from sculpt_framework.sculpting.drawn_gaussians import draw_saved_gaussians
 
         return draw_saved_gaussians(self, folder, scene)
 

@@ -21,6 +21,7 @@ from sculpt_framework.losses import TrainingImage
 from sculpt_framework.reconstructor import Host, Moment, Reconstructor, StepReport
 from sculpt_framework.sculpting import assembly, memory_check
 from sculpt_framework.sculpting.config import SculptingConfig, StageConfig
+from sculpt_framework.sculpting.drawn_gaussians import GAUSSIANS_NAME, draw_gaussians
 from sculpt_framework.sculpting.images import pixel_footprint, prepare_images
 from sculpt_framework.sculpting.initial_fit import fit_to_views, start_surface
 from sculpt_framework.sculpting.polish import polish
@@ -34,7 +35,6 @@ from sculpt_framework.sculpting.trainer import Settled
 from sculpt_framework.snapshot import Cells, Snapshot
 from sculpt_framework.types import Camera, Gaussians, Rendering, Scene, Surface
 
-GAUSSIANS_NAME = "gaussians.ply"
 _TIME_FOR_SILHOUETTES = 0.4
 """Of a time limit, at most."""
 
@@ -47,8 +47,8 @@ class Sculpting(Reconstructor):
         self.config = config
         self._box, self._host = scene.box, host
         self._generator = torch.Generator().manual_seed(config.seed)
-        self.parts = assembly.build_parts(config, scene.box, self._generator, host.processes)
-        self.trainer = self.parts.trainer
+        parts = assembly.build_parts(config, scene.box, self._generator, host.processes)
+        self.trainer = parts.trainer
         self._rates = Rates(config.trainer, timed=host.timed)
         self.images: list[TrainingImage] = []
         """What the present stage learns from."""
@@ -59,7 +59,12 @@ class Sculpting(Reconstructor):
         self._result: Reconstruction | None = None
         """Of the latest extraction, in world frame, once it has been asked for."""
         self._finished = False
-        self._wishes = Wishes(self.parts, config, scene.box)
+        self._wishes = Wishes(parts, config, scene.box)
+
+    @property
+    def parts(self) -> assembly.Parts:
+        """The components, refined as has been asked for."""
+        return self._wishes.parts
 
     # -- a run ---------------------------------------------------------------------------------------------------
 
@@ -206,6 +211,8 @@ class Sculpting(Reconstructor):
     # -- what can be seen of it ----------------------------------------------------------------------------------
 
     def mesh(self) -> Mesh:
+        if self._result is not None:
+            return self._result.mesh
         with self._shown() as surface:
             return world_mesh(surface, self._box)[0]
 
@@ -259,16 +266,12 @@ class Sculpting(Reconstructor):
             return Snapshot(surface=surface, box=self._box, gaussians=gaussians, cells=cells)
 
     def obey(self, command: Command, step: int, folder: Path) -> str:
-        done = self._wishes.obey(command, step, folder)
-        self.parts = self._wishes.parts
-        return done
+        return self._wishes.obey(command, step, folder)
 
-    @torch.no_grad()
     def _draw(self, gaussians: Gaussians, camera: Camera) -> Rendering:
         """Gaussians of the object frame, a camera in world frame."""
-        local = self._box.camera_to_object(camera).to(self.parts.device, torch.float32)
-        white, low_pass = torch.ones(3, device=self.parts.device), self.config.trainer.low_pass_px2
-        return self.parts.rasterizer.render(gaussians, local, white, low_pass_px2=low_pass)
+        low_pass, device = self.config.trainer.low_pass_px2, self.parts.device
+        return draw_gaussians(self.parts.rasterizer, gaussians, self._box, camera, low_pass, device)
 
     @property
     def _judge(self) -> Judge | None:

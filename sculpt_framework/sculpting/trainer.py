@@ -58,7 +58,7 @@ class Objectives:
 
 
 @dataclass(frozen=True, kw_only=True)
-class StepReport:
+class OuterStep:
     """What one outer step did."""
 
     loss: float
@@ -176,7 +176,7 @@ class BiLevelTrainer:
 
     def update(
         self, settled: Settled, images: Sequence[TrainingImage], stage: StageConfig, rate_factor: float
-    ) -> StepReport:
+    ) -> OuterStep:
         """Carry the images' gradient through the settled Gaussians and faces into field and extractor.
 
         Raises FloatingPointError if the objective or its gradient is not finite; nothing has been updated then.
@@ -215,7 +215,7 @@ class BiLevelTrainer:
             self.scene.step(rate_factor * self.gaussian_rate)
         rows = [leaf for table in self.extractor.tables.values() for leaf in table.leaves.values()]
         self.processes.align([*self.optimizer.parameters, *rows, *self.scene.learning, *self.own.parameters])
-        return StepReport(
+        return OuterStep(
             loss=sum(terms.values()),
             terms=terms,
             inner_loss=settled.inner_loss,

@@ -1,0 +1,39 @@
+"""How Gaussians look from cameras in world frame, on white: those of a run that goes on, and of a finished one."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+
+from sculpt_framework.device import pick_device
+from sculpt_framework.errors import CheckpointError
+from sculpt_framework.export.gaussian_files import read_gaussians_ply
+from sculpt_framework.rasterizers import Rasterizer
+from sculpt_framework.sculpting.config import SculptingConfig
+from sculpt_framework.types import Box, Camera, Gaussians, Rendering, Scene
+
+GAUSSIANS_NAME = "gaussians.ply"
+
+
+@torch.no_grad()
+def draw_gaussians(
+    rasterizer: Rasterizer, gaussians: Gaussians, box: Box, camera: Camera, low_pass_px2: float, device: torch.device
+) -> Rendering:
+    """Of Gaussians in the object frame of ``box``."""
+    local = box.camera_to_object(camera).to(device, torch.float32)
+    return rasterizer.render(gaussians, local, torch.ones(3, device=device), low_pass_px2=low_pass_px2)
+
+
+def draw_saved_gaussians(config: SculptingConfig, folder: Path, scene: Scene) -> Callable[[Camera], Rendering]:
+    """Of a finished run. Raises CheckpointError if the run has not left any."""
+    path = folder / GAUSSIANS_NAME
+    if not path.is_file():
+        raise CheckpointError(
+            f"{folder} has no {GAUSSIANS_NAME}: the run has not finished; go on with --resume {folder}"
+        )
+    world, box = read_gaussians_ply(path), scene.box
+    gaussians = replace(world, means=box.to_object(world.means.double()).float(), scales=world.scales / box.scale)
+    device = pick_device(config.device)
+    rasterizer, low_pass = config.rasterizer.build(device), config.trainer.low_pass_px2
+    return lambda camera: draw_gaussians(rasterizer, gaussians, box, camera, low_pass, device)

@@ -17,8 +17,6 @@ _COST_OF_END = 6
 """Times what one in between costs: the last state, and the result with all that is measured of one."""
 _OWED = 3
 """Measurements in between that are owed: of the first surface of a stage, and at two shares."""
-_ROWS_TO_TELL = 4
-"""Measurements of a stage before its curve can be called level."""
 _FARTHEST = 1 / 12
 """Of the time a run is given: no two measurements are farther apart, if they may be had."""
 
@@ -85,20 +83,11 @@ class Milestones:
     def latest(self, column: str) -> Any:
         return self.rows[-1][column] if self.rows else None
 
-    def gain(self) -> float:
-        """Decibels by which held-out views were better in the later half of the progress so far than in the earlier.
-
-        The best of each half: single measurements fall out of line. Counted from where the latest stage began; infinite
-        as long as too little of it has been measured to tell.
-        """
+    def of_stage(self, column: str) -> list[tuple[float, float]]:
+        """Progress and value of each measurement since the latest stage began, where there is a value."""
         stage = [number for number, row in enumerate(self.rows) if row["reason"] == "stage"]
         rows = self.rows[stage[-1] :] if stage else []
-        if len(rows) < _ROWS_TO_TELL or rows[-1]["psnr"] is None:
-            return math.inf
-        half = (rows[0]["progress"] + rows[-1]["progress"]) / 2
-        early = [row["psnr"] for row in rows if row["progress"] <= half]
-        later = [row["psnr"] for row in rows if row["progress"] > half]
-        return max(later) - max(early) if later else math.inf
+        return [(row["progress"], row[column]) for row in rows if row[column] is not None]
 
     def cut_short(self, factor: float) -> None:
         """The run has become shorter: all progress so far was that much more of it."""

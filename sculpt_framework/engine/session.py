@@ -34,6 +34,7 @@ from sculpt_framework.export.atomic import write_atomically
 from sculpt_framework.geometry.signed_distance import EmptySurfaceError
 from sculpt_framework.reconstructor import Host, Moment, Reconstructor, StepReport
 from sculpt_framework.serialization import config_to_json
+from sculpt_framework.stop_rule import StopRule
 from sculpt_framework.types import Camera, Rendering, Scene, View
 
 _UNSTABLE = (FloatingPointError, EmptySurfaceError)
@@ -294,11 +295,11 @@ class Session(Host):
 
     def _end_if_level(self) -> None:
         """Have a run that gains no more come to its end, and its rates with it."""
-        config, gain = self.config, self._milestones.gain()
-        ripe = self._in_last_stage and self.step >= config.steps
-        if ripe and gain < config.level_gain_db > 0 and (factor := self._schedule.cut_short()) is not None:
+        rule, watched = StopRule(least_gain=self.config.level_gain_db), self._milestones.of_stage("psnr")
+        ripe = self._in_last_stage and self.step >= self.config.steps
+        if ripe and rule.stops(watched) and (factor := self._schedule.cut_short()) is not None:
             self._milestones.cut_short(factor)
-            self.tell("decision", announcements.cut_short(gain, factor))
+            self.tell("decision", announcements.cut_short(rule.gain(watched), factor))
 
     def show_start(self, make: Callable[[], tuple[Mesh, Mapping[str, Any]] | None]) -> None:
         if self.processes.first(self._milestones.start_due):

@@ -66,12 +66,6 @@ class TrainerConfig:
     """Optimise a detached copy of the Gaussians in the inner loop; off: one joint update of everything (ablation)."""
     warm_start: bool = True
     """Keep each face's Gaussian parameters and optimiser state across outer steps; off: start anew (paper)."""
-    inner_gain: float = 0.0
-    """End the inner loop of an outer step once a pass over the views lowers its loss by less than this share; 0: take
-    all of its steps."""
-    still_cells: float = 0.0
-    """Gaussians of a face learn again once one of its corners has moved so far since they last did, in cells; 0: in
-    every outer step."""
     inner_batch: int | None = None
     """Views that one inner step takes together; there are as many fewer steps. Default: as many as there are processes
     (torchrun), so one alone takes one; a run that is gone on with keeps its number."""
@@ -97,7 +91,7 @@ class TrainerConfig:
     polish_steps: int = 100
     """Inner steps on the final surface, for the colours that are saved."""
     polish_gain_db: float = 0.0
-    """Stop that once ten steps gain less on two held-out views; 0: never."""
+    """Stop that once twenty steps gain less than the twenty before on two held-out views; 0: never."""
     rest_after: int = 0
     """Evaluations without effect after which a term of an objective rests, tried again every so many; 0: never."""
 

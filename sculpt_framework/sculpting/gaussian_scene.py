@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 import torch
-from jaxtyping import Bool, Float, Int64
+from jaxtyping import Float, Int64
 from scipy.spatial import KDTree
 from torch import Tensor
 
@@ -74,16 +74,10 @@ class GaussianScene:
         rows = rows if learn else {name: leaf.detach() for name, leaf in rows.items()}
         return self.binder.bind(surface, rows, blur=self.blur)
 
-    def harmonics(
-        self, means: Float[Tensor, "f k 3"], *, degree: int, learn: bool, faces: Int64[Tensor, " m"] | None = None
-    ) -> Float[Tensor, "m k b 3"]:
-        """Coefficients up to ``degree``, of all faces or of these; ``learn`` lets gradients reach rows and shared
-        parameters."""
-        rows = self.appearance_rows.leaves
+    def harmonics(self, means: Float[Tensor, "f k 3"], *, degree: int, learn: bool) -> Float[Tensor, "f k b 3"]:
+        """Coefficients up to ``degree``; ``learn`` lets gradients reach rows and shared parameters."""
         with torch.set_grad_enabled(learn):
-            if faces is not None:
-                means, rows = means[faces], {name: leaf.index_select(0, faces) for name, leaf in rows.items()}
-            sh = self.appearance(means.detach(), rows)
+            sh = self.appearance(means.detach(), self.appearance_rows.leaves)
             return sh[:, :, : bands(min(degree, self.appearance.sh_degree))]
 
     def lower_sh_degree(self, degree: int) -> None:
@@ -114,10 +108,10 @@ class GaussianScene:
             table.load_state({name[len(prefix) :]: value for name, value in state.items() if name.startswith(prefix)})
         self._centroids = state["centroids"].clone() if "centroids" in state else None
 
-    def step(self, rate_factor: float, still: Bool[Tensor, " f"] | None = None) -> None:
-        """One optimiser step on whatever has a gradient, but for the rows of ``still`` faces."""
-        self.geometry_rows.step(rate_factor, still=still)
-        self.appearance_rows.step(rate_factor, still=still)
+    def step(self, rate_factor: float) -> None:
+        """One optimiser step on whatever has a gradient."""
+        self.geometry_rows.step(rate_factor)
+        self.appearance_rows.step(rate_factor)
         if self.shared_optimizer is not None:
             self.shared_optimizer.step(rate_factor)
 

@@ -11,14 +11,13 @@ from sculpt_framework.sculpting.config import TrainerConfig
 from sculpt_framework.sculpting.reconstruction import object_gaussians
 from sculpt_framework.sculpting.sh_pruning import Judge
 from sculpt_framework.sculpting.trainer import BiLevelTrainer
+from sculpt_framework.stop_rule import FEWEST, StopRule
 from sculpt_framework.types import Surface
 
 CHUNK = 10
 """Steps between two looks at the clock and at what they have gained."""
 _RATE_AT_MOST = 0.3
 """Of the rates that a run begins with: higher ones would unsettle colours that are nearly right."""
-_PATIENCE = 2
-"""Chunks in a row that gain too little before it ends: one may be unlucky in its views."""
 
 
 def polish(
@@ -35,11 +34,12 @@ def polish(
 
     ``deadline`` is a ``time.monotonic()`` instant. Returns the data of the decision, if it ended for want of gain.
     """
-    judge = judge if config.polish_gain_db > 0 else None
-    idle, first = 0, trainer.processes.first
+    judge, first = judge if config.polish_gain_db > 0 else None, trainer.processes.first
+    rule = StopRule(least_gain=config.polish_gain_db, latest=FEWEST)
     learning, rate = trainer.scene.learning, min(_RATE_AT_MOST, config.final_rate)
 
     score = best = judge(object_gaussians(trainer.scene, surface)) if judge else 0.0
+    watched = [(0.0, score)]
     kept = [tensor.detach().clone() for tensor in learning] if judge else []
     told = []
     for done in range(CHUNK, config.polish_steps + CHUNK, CHUNK):
@@ -49,14 +49,13 @@ def polish(
         if judge is None:
             continue
         score = judge(object_gaussians(trainer.scene, surface))
-        idle = 0 if score > best + config.polish_gain_db else idle + 1
-        if idle == _PATIENCE and done < config.polish_steps:
-            left = config.polish_steps - done
-            value = f"ended after {done} steps"
-            told.append({"item": "polish", "value": value, "spared": left, "gain_db": score - best})
-            break
+        watched.append((float(done), score))
         if score > best:
             best, kept = score, [tensor.detach().clone() for tensor in learning]
+        if rule.stops(watched) and done < config.polish_steps:
+            left, gain = config.polish_steps - done, rule.gain(watched)
+            told.append({"item": "polish", "value": f"ended after {done} steps", "spared": left, "gain_db": gain})
+            break
     if score < best:
         with torch.no_grad():
             for tensor, value in zip(learning, kept, strict=True):

@@ -33,8 +33,6 @@ def _check_trainer(trainer: TrainerConfig) -> None:
     require(trainer.trust_cells >= 0, "trainer.trust-cells", trainer.trust_cells, "0 or more")
     require(trainer.polish_steps >= 0, "trainer.polish-steps", trainer.polish_steps, "0 or more")
     require(trainer.polish_gain_db >= 0, "trainer.polish-gain-db", trainer.polish_gain_db, "decibels, 0 or more")
-    require(0 <= trainer.inner_gain < 1, "trainer.inner-gain", trainer.inner_gain, "0 or more, below 1")
-    require(trainer.still_cells >= 0, "trainer.still-cells", trainer.still_cells, "0 or more")
     batch = trainer.inner_batch
     require(batch is None or batch >= 1, "trainer.inner-batch", batch, "1 or more")
     require(trainer.rest_after >= 0, "trainer.rest-after", trainer.rest_after, "0 or more")

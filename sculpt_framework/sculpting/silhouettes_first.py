@@ -12,15 +12,20 @@ from sculpt_framework.sculpting.assembly import Parts, find_seeds, set_level
 from sculpt_framework.sculpting.config import SculptingConfig, StageConfig
 from sculpt_framework.sculpting.images import pixel_footprint, prepare_images
 from sculpt_framework.sculpting.trainer import BiLevelTrainer
+from sculpt_framework.stop_rule import FEWEST, StopRule
 from sculpt_framework.types import Box, View
 
 _STEPS = 150
 """On each level, at most."""
 _VIEWS = 4
+_LEAST_LOSS = 1e-12
+"""What a loss of 0 counts as."""
 _LAST_RATE = 0.1
 """Of the surface's rate that a level begins with."""
-_WINDOW, _GAIN = 20, 0.02
-"""A level ends once the loss of so many steps is not this share better than that of as many before."""
+_PASS = 10
+"""Steps whose mean loss is one score: single losses differ by their views."""
+_RULE = StopRule(least_gain=0.02, latest=FEWEST)
+"""A level ends once its loss falls by less than this share."""
 
 
 def shape_by_silhouettes(
@@ -67,13 +72,16 @@ def _fit(
 ) -> list[float]:
     """Silhouette steps until they gain no more, or their time is over; the loss of each."""
     losses: list[float] = []
+    watched: list[tuple[float, float]] = []
     for step in range(_STEPS):
         if trainer.processes.first(lambda: end is not None and time.monotonic() >= end):
             break
         settled = trainer.settle(images, stage, 1.0)
         report = trainer.update(settled, images, stage, _LAST_RATE ** (step / _STEPS))
         losses.append(sum(report.terms[each.name] for each in trainer.objectives.silhouettes))
-        before, now = losses[-2 * _WINDOW : -_WINDOW], losses[-_WINDOW:]
-        if len(before) == _WINDOW and sum(now) > (1 - _GAIN) * sum(before):
-            break
+        if len(losses) % _PASS == 0:
+            mean = sum(losses[-_PASS:]) / _PASS
+            watched.append((float(step), -math.log(max(mean, _LEAST_LOSS))))
+            if _RULE.stops(watched):
+                break
     return losses

@@ -30,7 +30,6 @@ def capture(trainer: BiLevelTrainer, stage: int, generator: torch.Generator) -> 
     _put(state, "scene", trainer.scene.state())
     _put(state, "terms", trainer.own.state())
     _put(state, "resting", trainer.gating.state())
-    _put(state, "still_faces", trainer.still_faces.state())
     return {name: tensor.detach().clone().contiguous() for name, tensor in state.items()}
 
 
@@ -55,7 +54,6 @@ def restore(trainer: BiLevelTrainer, generator: torch.Generator, state: Mapping[
     trainer.scene.load_state(_get(state, "scene"))
     trainer.own.load_state(_get(state, "terms"))
     trainer.gating.load_state(_get(state, "resting"))
-    trainer.still_faces.load_state(_get(state, "still_faces"))
 
 
 def _load_module(module: nn.Module, state: Mapping[str, Tensor]) -> None:

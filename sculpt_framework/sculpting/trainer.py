@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Bool, Float, Int64
+from jaxtyping import Float, Int64
 from torch import Tensor
 
 from sculpt_framework.adam import Adam
@@ -26,9 +26,7 @@ from sculpt_framework.rasterizers import Rasterizer
 from sculpt_framework.sculpting.config import StageConfig, TrainerConfig
 from sculpt_framework.sculpting.gaussian_scene import GaussianScene, assemble
 from sculpt_framework.sculpting.own_parameters import OwnParameters
-from sculpt_framework.sculpting.plateau import Plateau
 from sculpt_framework.sculpting.regions import Frozen, Region, frozen_rows, signed_distance, untaught
-from sculpt_framework.sculpting.still_faces import StillFaces
 from sculpt_framework.sculpting.term_gating import TermGating
 from sculpt_framework.sculpting.trust_region import TrustRegion
 from sculpt_framework.sculpting.view_gradients import ViewGradients, Walk, Weighted
@@ -36,8 +34,6 @@ from sculpt_framework.types import Surface
 
 _CHUNK, _LEAST_WARM_UP = 10, 30
 """Colour steps between two looks at the clock while colours are warmed up, and those that there are in any case."""
-_SHORTEST_PASS = 50
-"""Inner steps whose mean loss can be compared with that of as many others, however few views there are."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -120,7 +116,6 @@ class BiLevelTrainer:
         self.objectives = objectives
         self.own = OwnParameters(objectives.terms)
         self.gating = TermGating(config.rest_after)
-        self.still_faces = StillFaces(config.still_cells)
         self._config = config
         self.processes = processes or Alone()
         self.views = ViewGradients(rasterizer, config, generator)
@@ -134,9 +129,8 @@ class BiLevelTrainer:
         self.own.begin(images)
 
     def begin_stage(self) -> None:
-        """Images are others from here on: views come in a new order, and Gaussians of all faces learn from them."""
+        """Images are others from here on: views come in a new order."""
         self.views.order = []
-        self.still_faces.forget()
 
     # -- the two levels: an outer step is settle, then update --------------------------------------------------
 
@@ -157,15 +151,13 @@ class BiLevelTrainer:
         surface = untaught(self.ignored, extraction.surface)
         if not self._config.warm_start:
             self.scene.forget()
-            self.still_faces.forget()
         self.scene.follow(surface)
         self.processes.require_same(surface.face_keys)
         inner_loss, binding, inner_began = None, None, time.perf_counter()
         if self._config.gradient_isolation and not stage.silhouette_only:
             if self.inner_total == 0:
                 binding = self._warm_up(surface, images, warm)
-            moving = self.still_faces.moving(surface, self.extractor.grid.cell) if stage.inner_steps > 0 else None
-            inner_loss, binding = self.inner_loop(surface, images, stage.inner_steps, rate_factor, binding, moving)
+            inner_loss, binding = self.inner_loop(surface, images, stage.inner_steps, rate_factor, binding)
         if binding is None:
             binding = self.scene.bind(surface, learn=not self._config.gradient_isolation)
         seconds = time.perf_counter() - inner_began
@@ -232,23 +224,13 @@ class BiLevelTrainer:
         steps: int,
         rate_factor: float,
         binding: Binding | None = None,
-        moving: Bool[Tensor, " f"] | None = None,
     ) -> tuple[float | None, Binding | None]:
         """Colours, and now and then scales and places, of the Gaussians on a detached copy of the surface.
 
-        ``moving`` says of which faces Gaussians learn, if not of all; where none does, nor is there a step.
-
         ``binding`` is what ``scene.bind`` makes of the surface, connected to it, if that is known. Returns the mean
         loss, None without steps, and that binding as it is then, None where places have been taught since.
-
-        With ``inner_gain`` the loop ends once a pass over the views has lowered the loss by less than that share.
         """
-        faces = None if moving is None else moving.nonzero()[:, 0]
-        if faces is not None and len(faces) == 0:
-            return None, binding
-        total, taken, colors_now = 0.0, 0, None
-        still = None if moving is None else ~moving
-        plateau = Plateau(max(len(images), _SHORTEST_PASS), self._config.inner_gain)
+        total = 0.0
         batch = self._config.inner_batch or self.processes.count
         inner = replace(self.objectives.inner, weight=1.0)
         for step in range(0, steps, batch):
@@ -264,12 +246,7 @@ class BiLevelTrainer:
                 bound = binding.detach()
             self.scene.zero_grad()
             degree = self._degree(step)
-            sh = self.scene.harmonics(bound.means, degree=degree, learn=True, faces=faces)
-            if faces is not None:
-                if colors_now is None or colors_now.shape[2] != sh.shape[2]:
-                    # A copy: what gradients are to pass may not be made of a view without any.
-                    colors_now = self.scene.harmonics(bound.means, degree=degree, learn=False).clone()
-                sh = colors_now.index_copy(0, faces, sh)
+            sh = self.scene.harmonics(bound.means, degree=degree, learn=True)
             walk, terms = self.views.see(assemble(bound, sh), images, count, [inner], self.processes, self.own)
             awake = [each for each in self.objectives.constraints if learn_places and self.gating.due(each.name)]
             for constraint in awake:
@@ -278,14 +255,12 @@ class BiLevelTrainer:
             self._check_terms(terms)
             for constraint in awake:
                 self.gating.saw(constraint.name, terms[constraint.name], terms[inner.name])
-            total, taken = total + terms[inner.name] * count, taken + count
+            total += terms[inner.name] * count
             rate = self.gaussian_rate * (1.0 if not self._config.warm_start else rate_factor)
-            self.scene.step(rate, still)
+            self.scene.step(rate)
             self.own.step(rate)
             self.inner_total = after
-            if not plateau.after(terms[inner.name], count):
-                break
-        return (total / taken if taken else None), binding
+        return (total / steps if steps else None), binding
 
     def _warm_up(self, surface: Surface, images: Sequence[TrainingImage], warm: Callable[[], bool]) -> Binding | None:
         """Inner steps before the surface first moves. Returns a binding as ``inner_loop`` does."""

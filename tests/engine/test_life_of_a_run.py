@@ -48,7 +48,6 @@ LEARNABLE = FlexiCubesConfig(split="center", learn_weights=True, learn_deformati
 VARIANTS = {
     "default": small_config(steps=6, stages=TWO_STAGES),
     "learnable": small_config(steps=6, stages=TWO_STAGES, extractor=LEARNABLE, appearance=PerGaussianConfig()),
-    "still faces": small_config(steps=6, stages=TWO_STAGES, still_cells=0.02),
 }
 Saved = tuple[Mapping[str, Tensor], Progress]
 

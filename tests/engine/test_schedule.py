@@ -1,7 +1,6 @@
 """When what happens: progress, stages, rates, measurements, clocks."""
 
 import itertools
-import math
 import time
 from dataclasses import replace
 
@@ -232,37 +231,19 @@ def test_milestones_are_the_first_rows_at_a_share_and_the_last_of_all():
     assert Milestones().latest("psnr") is None
 
 
-def curve(*rows: tuple[float, float | None], began: float = 0.0) -> Milestones:
+def test_what_a_stage_has_measured_begins_with_it():
     milestones = Milestones()
-    for number, (progress, psnr) in enumerate(rows):
-        milestones.add(began + progress, {"reason": "time" if number else "stage", "psnr": psnr})
-    return milestones
-
-
-def test_the_gain_is_that_of_the_later_half_over_the_earlier():
-    rising = curve((0.0, 20.0), (0.1, 30.0), (0.2, 33.0), (0.3, 34.0), (0.4, 34.5))
-    assert rising.gain() == pytest.approx(1.5)
-    # The best of each half counts: one that is out of line, low or early, does not.
-    dips = curve((0.0, 20.0), (0.1, 34.0), (0.2, 33.0), (0.3, 34.6), (0.4, 31.0))
-    assert dips.gain() == pytest.approx(0.6)
-    assert curve((0.0, 20.0), (0.1, 34.0), (0.2, 33.0), (0.3, 33.9), (0.4, 33.0)).gain() == pytest.approx(-0.1)
-    later = curve((0.0, 20.0), (0.1, 34.0), (0.2, 33.0), (0.3, 34.6), (0.4, 31.0), began=0.5)
-    assert later.gain() == pytest.approx(0.6)
-
-
-def test_there_is_no_gain_to_tell_without_measurements():
-    assert Milestones().gain() == math.inf
-    assert curve((0.0, 20.0), (0.1, 30.0), (0.2, 33.0)).gain() == math.inf
-    assert curve((1.0, 20.0), (1.0, 30.0), (1.0, 33.0), (1.0, 34.0)).gain() == math.inf
-    assert curve((0.0, None), (0.1, None), (0.2, None), (0.3, None), (0.4, None)).gain() == math.inf
-    # Only the latest stage counts.
-    milestones = curve((0.0, 20.0), (0.1, 30.0), (0.2, 33.0), (0.3, 34.0), (0.4, 34.5))
-    milestones.add(0.5, {"reason": "stage", "psnr": 34.0})
-    assert milestones.gain() == math.inf
+    assert milestones.of_stage("psnr") == []
+    told = [("start", None), ("stage", 30.0), ("time", 33.0), ("stage", 31.0), ("time", None), ("share", 34.0)]
+    for number, (reason, psnr) in enumerate(told):
+        milestones.add(0.1 * number, {"reason": reason, "psnr": psnr})
+    assert milestones.of_stage("psnr") == [(pytest.approx(0.3), 31.0), (0.5, 34.0)]
 
 
 def test_what_is_cut_short_is_further_along():
-    milestones = curve((0.0, 20.0), (0.1, 30.0), (0.4, 33.0))
+    milestones = Milestones()
+    for progress in (0.0, 0.1, 0.4):
+        milestones.add(progress, {"reason": "time"})
     milestones.cut_short(2.0)
     assert [row["progress"] for row in milestones.rows] == [0.0, 0.2, 0.8]
     # What was to be measured on the way is behind it now.

@@ -11,6 +11,7 @@ from sculpt_framework.errors import TrainingFailed
 from sculpt_framework.events import Event
 from sculpt_framework.geometry.signed_distance import EmptySurfaceError
 from sculpt_framework.sculpting import silhouettes_first
+from sculpt_framework.stop_rule import StopRule
 from sculpt_framework.types import Scene
 from sculpt_plugins.initializers.sphere.config import SphereConfig
 from sculpt_plugins.losses.silhouette.config import SilhouetteConfig
@@ -61,7 +62,7 @@ def test_a_method_that_begins_with_silhouettes_itself_is_left_alone(scene: Scene
 def test_a_time_limit_leaves_most_for_the_stages(scene: Scene, monkeypatch: pytest.MonkeyPatch):
     """With steps that do not end of themselves."""
     monkeypatch.setattr(silhouettes_first, "_STEPS", 1_000_000)
-    monkeypatch.setattr(silhouettes_first, "_GAIN", -1e9)
+    monkeypatch.setattr(silhouettes_first, "_RULE", StopRule(least_gain=0.0))
     config = small_config(initializer=SphereConfig(), stages=TWO_STAGES, max_time=12.0)
     events: list[Event] = []
     Session(scene, config, emit=events.append).run()

@@ -23,7 +23,6 @@ from sculpt_framework.config import MethodConfig
 from sculpt_framework.engine import steering as steering_module
 from sculpt_framework.engine.checkpoint import read_checkpoint, write_checkpoint
 from sculpt_framework.engine.measuring import Evaluator
-from sculpt_framework.engine.milestones import Milestones
 from sculpt_framework.engine.progress import Progress
 from sculpt_framework.engine.run import load_finished, run, run_status
 from sculpt_framework.engine.session import Session
@@ -37,6 +36,7 @@ from sculpt_framework.export import atomic
 from sculpt_framework.reconstructor import Moment, StepReport
 from sculpt_framework.sculpting.method import Sculpting
 from sculpt_framework.sculpting.trainer import BiLevelTrainer
+from sculpt_framework.stop_rule import StopRule
 from sculpt_framework.types import Scene
 from sculpt_framework.viewing.run_folder import RunFolder
 from sculpt_plugins.appearances.per_gaussian.config import PerGaussianConfig
@@ -122,7 +122,7 @@ def test_time_left_is_the_share_that_was_left(scene: Scene):
 def test_a_curve_that_is_level_ends_a_run_early(
     scene: Scene, level_gain_db: float, limit: float, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr(Milestones, "gain", lambda self: -1.0)
+    monkeypatch.setattr(StopRule, "gain", lambda self, watched: -1.0)
     events: list[Event] = []
     config = small_config(max_time=limit, steps=4, level_gain_db=level_gain_db, polish_steps=0)
     Session(scene, config, emit=events.append).run()

@@ -16,10 +16,8 @@ class Appearance(nn.Module, ABC):
     """
 
     def __init__(self, sh_degree: int):
-        """Raises ValueError for a degree that is not 0 to 3."""
+        """``sh_degree`` is 0 to 3."""
         super().__init__()
-        if not 0 <= sh_degree <= 3:
-            raise ValueError(f"spherical-harmonics degree must be 0 to 3, not {sh_degree}")
         self._highest = self._sh_degree = sh_degree
 
     @property

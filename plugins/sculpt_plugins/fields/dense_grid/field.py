@@ -15,8 +15,6 @@ class DenseGridField(Field):
 
     def __init__(self, config: DenseGridFieldConfig):
         super().__init__()
-        if config.resolution < 2:
-            raise ValueError(f"dense grid needs at least 2 cells, not {config.resolution}")
         self._config = config
         axis = torch.linspace(-1.0, 1.0, config.resolution + 1)
         z, y, x = torch.meshgrid(axis, axis, axis, indexing="ij")

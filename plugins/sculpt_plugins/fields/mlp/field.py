@@ -21,8 +21,6 @@ class MlpField(Field):
 
     def __init__(self, config: MlpFieldConfig):
         super().__init__()
-        if not 0 <= config.skip_layer < config.hidden_layers:
-            raise ValueError(f"skip_layer {config.skip_layer} is not one of the {config.hidden_layers} hidden layers")
         self._config = config
         encoded = 3 + 6 * config.frequencies
         layers: list[nn.Module] = []

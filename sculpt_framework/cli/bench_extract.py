@@ -150,6 +150,7 @@ def _measure(way: Way, resolution: int, request: ExtractRequest) -> ExtractRow:
     from sculpt_framework.adam import Adam
     from sculpt_framework.config import FieldConfig
     from sculpt_framework.geometry.band import discover
+    from sculpt_framework.parameters import ParameterGroup
 
     torch.set_num_threads(request.threads)
     device = torch.device(request.device)
@@ -161,7 +162,7 @@ def _measure(way: Way, resolution: int, request: ExtractRequest) -> ExtractRow:
     field.set_detail(2.0 / resolution)
     # Rates so small that the surface stays where it is.
     parameters = [parameter for group in field.parameter_groups() for parameter in group.parameters]
-    optimizer = Adam([(parameters, 1e-9)])
+    optimizer = Adam([ParameterGroup(parameters=parameters, rate=1e-9)])
 
     def sdf(points: torch.Tensor) -> torch.Tensor:
         return field(points).sdf

@@ -79,8 +79,7 @@ def fit_field(field: Field, volume: Volume, *, steps: int, generator: torch.Gene
     near = (values.abs() < _NEAR_CELLS * volume.cell).nonzero()[:, 0]
     if len(near) == 0:
         near = values.abs().topk(min(1000, len(values)), largest=False).indices
-    groups = field.parameter_groups()
-    optimizer = Adam([(group.parameters, group.fit_rate) for group in groups], betas=(0.9, 0.99))
+    optimizer = Adam(field.fit_groups(), betas=(0.9, 0.99))
     close = round(_NEAR_SHARE * _SAMPLES)
     error = float("nan")
     for step in range(steps):

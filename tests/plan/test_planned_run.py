@@ -59,8 +59,8 @@ def test_what_is_left_out_has_no_parameters(scene: Scene) -> None:
     full = build_parts(rich, scene.box, torch.Generator()).trainer
     planned, _ = plan_scene(with_options(config, "appearance", sh_degree=0), scene)
     lean = build_parts(planned, scene.box, torch.Generator()).trainer
-    assert full.scene.geometry_rows.learning_rates
-    assert lean.scene.geometry_rows.learning_rates == {}
+    assert full.scene.geometry_rows.rates
+    assert lean.scene.geometry_rows.rates == {}
     assert not lean.scene.learns_places
     assert lean.objectives.constraints == []
     means = torch.zeros(5, 1, 3)

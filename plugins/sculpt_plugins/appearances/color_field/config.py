@@ -25,11 +25,11 @@ class ColorFieldConfig(AppearanceConfig):
     finest_resolution: Annotated[int, at_least(1)] = 128
     """Cells across [-1, 1] at the finest level."""
     rate: Annotated[float, at_least(0)] = 1e-2
-    """Adam's rate of the pyramid, in units of the band-0 coefficient."""
+    """Learning rate of the pyramid, in units of the band-0 coefficient."""
     residual_rate: Annotated[float, at_least(0)] = 2.5e-3
-    """Adam's rate of the residuals' band 0."""
+    """Learning rate of the residuals' band 0."""
     rest_rate: Annotated[float, at_least(0)] = 1.25e-4
-    """Adam's rate of the residuals' higher bands."""
+    """Learning rate of the residuals' higher bands."""
 
     def check(self, option: str) -> None:
         fine, coarse = self.finest_resolution, self.base_resolution

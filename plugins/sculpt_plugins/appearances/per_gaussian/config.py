@@ -17,9 +17,9 @@ class PerGaussianConfig(AppearanceConfig):
     sh_degree: Annotated[int, between(0, 3)] = 0
     """Degree of the spherical harmonics, 0 to 3 (3DGS: 3); 0 means colour does not depend on the view."""
     rate: Annotated[float, at_least(0)] = 2.5e-3
-    """Adam's rate of band 0 (3DGS: 0.0025)."""
+    """Learning rate of band 0 (3DGS: 0.0025)."""
     rest_rate: Annotated[float, at_least(0)] = 1.25e-4
-    """Adam's rate of the higher bands (3DGS: 0.0025 / 20)."""
+    """Learning rate of the higher bands (3DGS: 0.0025 / 20)."""
 
     def build(self, device: "torch.device") -> "PerGaussianAppearance":
         from sculpt_plugins.appearances.per_gaussian.appearance import PerGaussianAppearance

@@ -44,7 +44,7 @@ class FaceBarycentricBinder(Binder):
         return self._config.gaussians_per_face
 
     @property
-    def learning_rates(self) -> dict[str, float]:
+    def rates(self) -> dict[str, float]:
         rates: dict[str, float] = {}
         if self._config.places == "learned":
             rates["log_ratios"] = self._config.scale_rate

@@ -32,13 +32,13 @@ class FaceBarycentricConfig(BinderConfig):
     theta: Annotated[float, above(0, below=1)] = 0.99
     """The opacity close to one."""
     barycentric_rate: Annotated[float, at_least(0)] = 1e-3
-    """Adam's rate of the barycentric logits."""
+    """Learning rate of the barycentric logits."""
     scale_rate: Annotated[float, at_least(0)] = 5e-3
-    """Adam's rate of the logarithms of the scale ratios (3DGS: 0.005)."""
+    """Learning rate of the logarithms of the scale ratios (3DGS: 0.005)."""
     rotation_rate: Annotated[float, at_least(0)] = 1e-3
-    """Adam's rate of the in-plane rotation, in radians (3DGS: 0.001); 0: the frame is the face's own."""
+    """Learning rate of the in-plane rotation, in radians (3DGS: 0.001); 0: the frame is the face's own."""
     opacity_rate: Annotated[float, at_least(0)] = 5e-2
-    """Adam's rate of the opacity logits, if learnable (3DGS: 0.05)."""
+    """Learning rate of the opacity logits, if learnable (3DGS: 0.05)."""
 
     def build(self) -> "FaceBarycentricBinder":
         from sculpt_plugins.binders.face_barycentric.binder import FaceBarycentricBinder

@@ -29,9 +29,9 @@ class FlexiCubesConfig(ExtractorConfig):
     along them, in cells. Such a crossing runs far along the surface for a small change of the distance, and would carry
     the noise of the images many times enlarged into the field."""
     weight_rate: Annotated[float, at_least(0)] = 3e-2
-    """Adam rate of raw alpha, beta and gamma; the factor in use is 1 + 0.99 tanh(raw)."""
+    """Learning rate of raw alpha, beta and gamma; the factor in use is 1 + 0.99 tanh(raw)."""
     deformation_rate: Annotated[float, at_least(0)] = 1e-2
-    """Adam rate of raw delta; the shift in use is 0.49 tanh(raw) cells along each axis."""
+    """Learning rate of raw delta; the shift in use is 0.49 tanh(raw) cells along each axis."""
 
     def build(self, grid: "Grid", device: "torch.device") -> "FlexiCubes":
         import torch

@@ -20,8 +20,8 @@ class DenseGridFieldConfig(FieldConfig):
     """Length of the feature vector beside the distance."""
     sphere_radius: Annotated[float, above(0)] = 0.5
     """Radius of the sphere the field starts as, in object units."""
-    learning_rate: Annotated[float, at_least(0)] = 1e-3
-    """Adam's rate before the schedule, in object units per step."""
+    rate: Annotated[float, at_least(0)] = 1e-3
+    """Learning rate before the schedule, in object units per step."""
 
     def build(self, device: "torch.device") -> "DenseGridField":
         from sculpt_plugins.fields.dense_grid.field import DenseGridField

@@ -5,7 +5,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from sculpt_framework.fields import Field, ParameterGroup
+from sculpt_framework.fields import Field
+from sculpt_framework.parameters import ParameterGroup
 from sculpt_framework.types import FieldSample
 from sculpt_plugins.fields.dense_grid.config import DenseGridFieldConfig
 
@@ -33,7 +34,10 @@ class DenseGridField(Field):
         return FieldSample(sdf=sampled[:, 0] + beyond, features=sampled[:, 1:])
 
     def parameter_groups(self) -> list[ParameterGroup]:
-        return [ParameterGroup(parameters=[self.values], rate=self._config.learning_rate, fit_rate=0.03)]
+        return [ParameterGroup(parameters=[self.values], rate=self._config.rate)]
+
+    def fit_groups(self) -> list[ParameterGroup]:
+        return [ParameterGroup(parameters=[self.values], rate=0.03)]
 
     def set_detail(self, cell_size: float) -> None:
         """The grid's one resolution is always on."""

@@ -30,10 +30,10 @@ class HashGridFieldConfig(FieldConfig):
     """Length of the feature vector beside the distance."""
     sphere_radius: Annotated[float, above(0)] = 0.5
     """Radius of the sphere the field starts as, in object units."""
-    learning_rate: Annotated[float, at_least(0)] = 4e-3
-    """Adam's rate of the table before the schedule, for the coarsest level."""
+    rate: Annotated[float, at_least(0)] = 4e-3
+    """Learning rate of the table before the schedule, for the coarsest level."""
     decoder_rate: Annotated[float, at_least(0)] = 2e-3
-    """Adam's rate of the decoder's weights before the schedule, if there is a decoder."""
+    """Learning rate of the decoder's weights before the schedule, if there is a decoder."""
     level_falloff: Annotated[float, at_least(0)] = 1.0
     """Exponent by which a level's rate falls with its cell size: Adam moves all table entries at about one pace."""
     coarse_to_fine: bool = True

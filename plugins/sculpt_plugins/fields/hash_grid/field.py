@@ -4,12 +4,14 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from sculpt_framework.encodings.hash_grid import HashEncoding
-from sculpt_framework.fields import Field, ParameterGroup
+from sculpt_framework.fields import Field
+from sculpt_framework.parameters import ParameterGroup
 from sculpt_framework.types import FieldSample
 from sculpt_plugins.fields.hash_grid.config import HashGridFieldConfig
 
 _FIT_RATE = 0.012
 """Of the coarsest level, in object units per step: the initial surface may be half a unit away."""
+_DECODER_FIT_RATE = 5e-3
 
 
 class HashGridField(Field):
@@ -60,19 +62,24 @@ class HashGridField(Field):
         return FieldSample(sdf=distance - self._config.sphere_radius + correction, features=features)
 
     def parameter_groups(self) -> list[ParameterGroup]:
-        config, resolutions = self._config, self._encoding.resolutions
-        groups = []
-        for table, resolution in zip(self._encoding.tables, resolutions, strict=True):
-            finer = resolution / resolutions[0]
-            group = ParameterGroup(
-                parameters=[table],
-                rate=config.learning_rate * finer**-config.level_falloff,
-                fit_rate=_FIT_RATE / finer,
-            )
-            groups.append(group)
+        rate, falloff = self._config.rate, self._config.level_falloff
+        return self._groups([rate * finer**-falloff for finer in self._finer], self._config.decoder_rate)
+
+    def fit_groups(self) -> list[ParameterGroup]:
+        return self._groups([_FIT_RATE / finer for finer in self._finer], _DECODER_FIT_RATE)
+
+    @property
+    def _finer(self) -> list[float]:
+        """Cells of each level across one of the coarsest level."""
+        resolutions = self._encoding.resolutions
+        return [resolution / resolutions[0] for resolution in resolutions]
+
+    def _groups(self, rates: list[float], decoder_rate: float) -> list[ParameterGroup]:
+        """Every level with a rate of its own, and the decoder."""
+        levels = zip(self._encoding.tables, rates, strict=True)
+        groups = [ParameterGroup(parameters=[table], rate=rate) for table, rate in levels]
         if self._decoder is not None:
-            decoder = list(self._decoder.parameters())
-            groups.append(ParameterGroup(parameters=decoder, rate=config.decoder_rate, fit_rate=5e-3))
+            groups.append(ParameterGroup(parameters=list(self._decoder.parameters()), rate=decoder_rate))
         return groups
 
     def set_detail(self, cell_size: float) -> None:

@@ -28,8 +28,8 @@ class MlpFieldConfig(FieldConfig):
     """Sharpness of the softplus between layers."""
     sphere_radius: Annotated[float, above(0)] = 0.5
     """Radius of the sphere the field starts as, in object units."""
-    learning_rate: Annotated[float, at_least(0)] = 1e-3
-    """Adam's rate before the schedule (paper: 1e-4)."""
+    rate: Annotated[float, at_least(0)] = 1e-3
+    """Learning rate before the schedule (paper: 1e-4)."""
 
     def check(self, option: str) -> None:
         last = self.hidden_layers - 1

@@ -8,7 +8,8 @@ from torch import Tensor, nn
 from torch.nn.utils.parametrizations import weight_norm
 
 from sculpt_framework.encodings.positional import positional_encoding
-from sculpt_framework.fields import Field, ParameterGroup
+from sculpt_framework.fields import Field
+from sculpt_framework.parameters import ParameterGroup
 from sculpt_framework.types import FieldSample
 from sculpt_plugins.fields.mlp.config import MlpFieldConfig
 
@@ -49,7 +50,10 @@ class MlpField(Field):
         return FieldSample(sdf=out[:, 0], features=out[:, 1:])
 
     def parameter_groups(self) -> list[ParameterGroup]:
-        return [ParameterGroup(parameters=list(self.parameters()), rate=self._config.learning_rate, fit_rate=1e-3)]
+        return [ParameterGroup(parameters=list(self.parameters()), rate=self._config.rate)]
+
+    def fit_groups(self) -> list[ParameterGroup]:
+        return [ParameterGroup(parameters=list(self.parameters()), rate=1e-3)]
 
     def set_detail(self, cell_size: float) -> None:
         """An MLP has all its frequencies from the start: nothing to wake up."""

@@ -7,7 +7,6 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from sculpt_framework.parameters import ParameterGroup
-from sculpt_framework.types import FieldSample
 
 
 class Field(nn.Module, ABC):
@@ -19,8 +18,8 @@ class Field(nn.Module, ABC):
     """
 
     @abstractmethod
-    def forward(self, points: Float[Tensor, "n 3"]) -> FieldSample:
-        """Signed distance and features at points of the object frame."""
+    def forward(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
+        """Signed distance at points of the object frame, in object units; negative inside."""
 
     @abstractmethod
     def parameter_groups(self) -> Sequence[ParameterGroup]:

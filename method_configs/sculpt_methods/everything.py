@@ -38,7 +38,6 @@ def gaussian_sculpting_everything() -> SculptingConfig:
             base_resolution=4,
             finest_resolution=256,
             hidden_units=0,
-            features=0,
             sphere_radius=0.5,
             rate=0.004,  # of one number per corner; two that moved alike at 0.002 each were the same field
             decoder_rate=0.002,

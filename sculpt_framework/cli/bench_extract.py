@@ -165,7 +165,7 @@ def _measure(way: Way, resolution: int, request: ExtractRequest) -> ExtractRow:
     optimizer = Adam([ParameterGroup(parameters=parameters, rate=1e-9)])
 
     def sdf(points: torch.Tensor) -> torch.Tensor:
-        return field(points).sdf
+        return field(points)
 
     before = _resident_megabytes(device)
     seeds = discover(sdf, extractor.grid, 0, lipschitz=1.5, device=device)

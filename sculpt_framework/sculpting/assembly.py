@@ -156,9 +156,7 @@ def set_level(parts: Parts, level: int) -> None:
 def find_seeds(parts: Parts) -> None:
     """Have the trainer start from all cells that the field's surface passes through."""
     field, grid = parts.trainer.field, parts.trainer.extractor.grid
-    parts.trainer.seeds = discover(
-        lambda points: field(points).sdf, grid, coarse_level=0, lipschitz=_LIPSCHITZ, device=parts.device
-    )
+    parts.trainer.seeds = discover(field, grid, coarse_level=0, lipschitz=_LIPSCHITZ, device=parts.device)
 
 
 def fit_seeds(parts: Parts) -> None:

@@ -88,7 +88,7 @@ def fit_field(field: Field, volume: Volume, *, steps: int, generator: torch.Gene
         jitter = (torch.rand(_SAMPLES, 3, generator=generator) - 0.5).to(points) * volume.cell
         where = points[torch.cat([chosen, anywhere])] + jitter
         wanted = target(where).clamp(-_TRUNCATION, _TRUNCATION)
-        sdf = field(where).sdf
+        sdf = field(where)
         # Where the target is cut, the field may say anything beyond the cut of the right sign.
         cut = wanted.abs() >= 0.999 * _TRUNCATION
         residual = torch.where(cut, (_TRUNCATION - sdf * wanted.sign()).clamp(min=0), (sdf - wanted).abs())

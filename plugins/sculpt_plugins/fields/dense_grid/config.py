@@ -16,8 +16,6 @@ class DenseGridFieldConfig(FieldConfig):
 
     resolution: Annotated[int, at_least(2)] = 96
     """Cells across [-1, 1]; memory grows with its cube."""
-    features: Annotated[int, at_least(0)] = 0
-    """Length of the feature vector beside the distance."""
     sphere_radius: Annotated[float, above(0)] = 0.5
     """Radius of the sphere the field starts as, in object units."""
     rate: Annotated[float, at_least(0)] = 1e-3

@@ -7,7 +7,6 @@ from torch.nn import functional
 
 from sculpt_framework.fields import Field
 from sculpt_framework.parameters import ParameterGroup
-from sculpt_framework.types import FieldSample
 from sculpt_plugins.fields.dense_grid.config import DenseGridFieldConfig
 
 
@@ -20,18 +19,17 @@ class DenseGridField(Field):
         axis = torch.linspace(-1.0, 1.0, config.resolution + 1)
         z, y, x = torch.meshgrid(axis, axis, axis, indexing="ij")
         values = (x * x + y * y + z * z).sqrt() - config.sphere_radius
-        channels = torch.cat([values[None], torch.zeros(config.features, *values.shape)])
-        self.values = nn.Parameter(channels[None])
+        self.values = nn.Parameter(values[None, None])
 
-    def forward(self, points: Float[Tensor, "n 3"]) -> FieldSample:
+    def forward(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
         inside = points.clamp(-1.0, 1.0)
         sampled = functional.grid_sample(
             self.values, inside[None, None, None], mode="bilinear", padding_mode="border", align_corners=True
-        )[0, :, 0, 0].T
+        )[0, 0, 0, 0]
         outside = points - inside
         # norm() has no gradient at 0, which is where all inner points are.
         beyond = torch.where(outside == 0, 0.0, outside.abs()).sum(dim=1)
-        return FieldSample(sdf=sampled[:, 0] + beyond, features=sampled[:, 1:])
+        return sampled + beyond
 
     def parameter_groups(self) -> list[ParameterGroup]:
         return [ParameterGroup(parameters=[self.values], rate=self._config.rate)]

@@ -25,9 +25,7 @@ class HashGridFieldConfig(FieldConfig):
     finest_resolution: Annotated[int, at_least(1)] = 256
     """Cells across [-1, 1] at the finest level."""
     hidden_units: Annotated[int, at_least(0)] = 0
-    """Units of the decoder's one hidden layer; 0: none, and no decoder either unless there are ``features``."""
-    features: Annotated[int, at_least(0)] = 0
-    """Length of the feature vector beside the distance."""
+    """Units of the decoder's one hidden layer; 0: no decoder."""
     sphere_radius: Annotated[float, above(0)] = 0.5
     """Radius of the sphere the field starts as, in object units."""
     rate: Annotated[float, at_least(0)] = 4e-3

@@ -22,8 +22,6 @@ class MlpFieldConfig(FieldConfig):
     """Hidden layer that sees the encoded input again, counted from 0."""
     frequencies: Annotated[int, at_least(0)] = 6
     """Octaves of the positional encoding."""
-    features: Annotated[int, at_least(0)] = 0
-    """Length of the feature vector beside the distance."""
     softplus_beta: Annotated[float, above(0)] = 100.0
     """Sharpness of the softplus between layers."""
     sphere_radius: Annotated[float, above(0)] = 0.5

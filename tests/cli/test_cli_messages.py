@@ -4,7 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from sculpt_framework.cli.train import main, parse, read_request
+from sculpt_framework.cli.train import main
+from sculpt_framework.command_line.request import parse, read_request
 from sculpt_framework.errors import SculptError
 
 BUILT_IN = "mlp, hash-grid, dense-grid, fancy, plain"

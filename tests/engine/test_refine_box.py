@@ -7,7 +7,7 @@ import pytest
 import torch
 from small_runs import TWO_STAGES, small_config, train
 
-from sculpt_framework.cli.train import parse
+from sculpt_framework.command_line.request import parse
 from sculpt_framework.config import MethodConfig
 from sculpt_framework.errors import ConfigError
 from sculpt_framework.evaluation.certificate import certify

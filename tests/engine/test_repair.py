@@ -11,7 +11,7 @@ import pytest
 import torch
 from small_runs import ONE_STAGE, finished, small_config
 
-from sculpt_framework.cli.train import read_request
+from sculpt_framework.command_line.request import read_request
 from sculpt_framework.config import MethodConfig
 from sculpt_framework.demo_scenes.distance import Points, Values, smooth_union, sphere
 from sculpt_framework.demo_scenes.folder import DemoSettings, write_scene

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from sculpt_framework import registry
-from sculpt_framework.cli.train import read_request
+from sculpt_framework.command_line.request import read_request
 from sculpt_framework.config import MethodConfig
 from sculpt_framework.engine.run import run
 from sculpt_framework.engine.session import Session
@@ -75,7 +75,7 @@ def test_what_is_left_out_has_no_parameters(scene: Scene) -> None:
 
 def test_what_is_left_out_is_not_imported(scene_folder: Path) -> None:
     script = (
-        "import sys, torch\nfrom sculpt_framework.cli.train import parse\n"
+        "import sys, torch\nfrom sculpt_framework.command_line.request import parse\n"
         "from sculpt_framework.plan.make import plan_scene\n"
         "from sculpt_framework.sculpting.assembly import build_parts\n"
         f"config = parse(['gaussian-sculpting-tiny', '--data', {str(scene_folder)!r}, '--plan', sys.argv[1]])\n"

@@ -18,7 +18,7 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from sculpt_framework.cli.train import parse
+from sculpt_framework.command_line.request import parse
 from sculpt_framework.sculpting.config import of_sculpting
 
 METHOD = "gaussian-sculpting"

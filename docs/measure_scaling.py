@@ -125,7 +125,7 @@ def measure(request: argparse.Namespace, extra: list[str]) -> None:
     """The few steps, in this process, beside others if torchrun has started them."""
     import torch
 
-    from sculpt_framework.cli.train import parse
+    from sculpt_framework.command_line.request import parse
     from sculpt_framework.device import pick_device
     from sculpt_framework.engine.parallel import gather
     from sculpt_framework.engine.session import Session

@@ -28,7 +28,7 @@ import torch
 from jaxtyping import Float, Int64
 from torch import Tensor
 
-from sculpt_framework.cli.train import parse
+from sculpt_framework.command_line.request import parse
 from sculpt_framework.device import pick_device
 from sculpt_framework.engine.session import Session
 from sculpt_framework.events import Event

@@ -28,7 +28,8 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from sculpt_framework.cli.train import limit_threads, parse
+from sculpt_framework.cli.train import limit_threads
+from sculpt_framework.command_line.request import parse
 
 LOOKS = ("nobody", "a client", "a stalled client")
 

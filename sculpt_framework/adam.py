@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from torch.autograd.graph import increment_version
 
 from sculpt_framework.cpu_kernels import kernel_cache, share_threads
+from sculpt_framework.parameters import ParameterGroup
 
 with kernel_cache("adam", Path(__file__).with_name("adam_kernels.py")):
     from sculpt_framework import adam_kernels
@@ -28,11 +29,10 @@ class Adam:
 
     def __init__(
         self,
-        groups: Sequence[tuple[Sequence[nn.Parameter], float]],
+        groups: Sequence[ParameterGroup],
         betas: tuple[float, float] = (0.9, 0.999),
     ):
-        """``groups`` are parameters with their learning rate."""
-        self._rates = [(parameter, rate) for parameters, rate in groups for parameter in parameters]
+        self._rates = [(parameter, group.rate) for group in groups for parameter in group.parameters]
         self._betas = betas
         self._moments: dict[int, dict[str, Tensor]] = {}
 

@@ -19,15 +19,18 @@ from sculpt_framework.types import Box as Box
 from sculpt_framework.types import Camera as Camera
 from sculpt_framework.types import Scene as Scene
 from sculpt_framework.types import View as View
+from sculpt_framework.validation import check_component
 
 
 def load(data: str | Path, dataset: DatasetConfig | None = None) -> Scene:
     """The scene in a folder, or ``demo`` or ``demo:NAME``. The layout is recognised where no ``dataset`` says it.
 
-    Raises DataError for data that cannot be used, with what was found and what is expected.
+    Raises ConfigError for options out of range, DataError for data that cannot be used, with what was found and what is
+    expected.
     """
     chosen = dataset or cast(DatasetConfig, registry.default("dataset", "auto"))
     where = str(Path(data).absolute()) if Path(data).exists() else str(data)
+    check_component(chosen)
     return replace(chosen.build(where).load(), data=where)
 
 

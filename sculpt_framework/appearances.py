@@ -1,11 +1,13 @@
 """Slot ``appearance``: the colours of the Gaussians."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
+
+from sculpt_framework.parameters import ParameterGroup
 
 
 class Appearance(nn.Module, ABC):
@@ -16,10 +18,8 @@ class Appearance(nn.Module, ABC):
     """
 
     def __init__(self, sh_degree: int):
-        """Raises ValueError for a degree that is not 0 to 3."""
+        """``sh_degree`` is 0 to 3."""
         super().__init__()
-        if not 0 <= sh_degree <= 3:
-            raise ValueError(f"spherical-harmonics degree must be 0 to 3, not {sh_degree}")
         self._highest = self._sh_degree = sh_degree
 
     @property
@@ -34,8 +34,8 @@ class Appearance(nn.Module, ABC):
 
     @property
     @abstractmethod
-    def learning_rates(self) -> dict[str, float]:
-        """Names of the row parameters with the rates of the inner loop."""
+    def rates(self) -> dict[str, float]:
+        """Names of the row parameters with their learning rates in the inner loop."""
 
     @abstractmethod
     def new_rows(self, means: Float[Tensor, "f k 3"]) -> dict[str, Tensor]:
@@ -51,8 +51,8 @@ class Appearance(nn.Module, ABC):
         """Coefficients as in ``Gaussians.sh``."""
 
     @abstractmethod
-    def optimizer_groups(self) -> list[dict]:
-        """Parameter groups for Adam, each with ``params`` and its own ``lr``; empty if nothing is shared."""
+    def parameter_groups(self) -> Sequence[ParameterGroup]:
+        """The parameters that all faces share; empty where there are none."""
 
     # -- bands above the first, each a row parameter of its own: one that is given up leaves nothing behind -----------
 

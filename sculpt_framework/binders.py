@@ -40,8 +40,8 @@ class Binder(ABC):
 
     @property
     @abstractmethod
-    def learning_rates(self) -> dict[str, float]:
-        """Names of the row parameters with the rates of the inner loop."""
+    def rates(self) -> dict[str, float]:
+        """Names of the row parameters with their learning rates in the inner loop."""
 
     @abstractmethod
     def new_rows(self, faces: int, device: torch.device, dtype: torch.dtype) -> dict[str, Tensor]:

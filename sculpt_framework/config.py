@@ -9,7 +9,9 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from sculpt_framework.ranges import above, at_least
 
 if TYPE_CHECKING:
     import torch
@@ -33,7 +35,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class ComponentConfig:
-    """Base of every component's config."""
+    """Base of every component's config. Ranges of numbers are declared in the fields' types (``ranges.py``)."""
+
+    def check(self, option: str) -> None:
+        """Raise ConfigError for values in their ranges that do not go together. ``option`` is the component's own, as
+        "field" or "losses.photometric"."""
+        return
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +75,7 @@ class RasterizerConfig(ComponentConfig, ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class LossConfig(ComponentConfig, ABC):
-    weight: float
+    weight: Annotated[float, at_least(0)]
     """Factor of this term in the outer loss."""
 
     @abstractmethod
@@ -77,7 +84,7 @@ class LossConfig(ComponentConfig, ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class ConstraintConfig(ComponentConfig, ABC):
-    weight: float
+    weight: Annotated[float, at_least(0)]
     """Factor of this term in the inner loss."""
 
     @abstractmethod
@@ -102,7 +109,7 @@ class ObserverConfig(ComponentConfig, ABC):
     @abstractmethod
     def build(self, run_dir: Path) -> "Observer": ...
 
-    def check(self) -> None:
+    def check_start(self) -> None:
         """Raise SculptError if it cannot be built, as far as is known before anything is read or written."""
         return
 
@@ -122,24 +129,24 @@ class MethodConfig(ABC):
     """Folder of the scene, or demo, or demo:NAME."""
     output: Path | None = None
     """Run directory, empty or new. Default: outputs/SCENE/METHOD/TIME."""
-    max_time: float | None = None
+    max_time: Annotated[float | None, above(0, unit="seconds")] = None
     """Wall seconds from the start of the process to the saved mesh. Default: as many steps as the method says."""
-    steps: int
+    steps: Annotated[int, at_least(1)]
     """Steps without ``--max-time``; with it, time decides."""
-    level_gain_db: float = 0.0
+    level_gain_db: Annotated[float, at_least(0)] = 0.0
     """Under ``--max-time``, end sooner once twice the time of the last stage gains less on the held-out views, but not
     before ``steps``; 0: take all the time there is."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """Where tensors live; auto takes CUDA if there is one."""
-    threads: int | None = None
+    threads: Annotated[int | None, at_least(1)] = None
     """CPU threads. Default: all cores this process may use."""
-    seed: int = 0
+    seed: Annotated[int, at_least(0, below=2**63)] = 0
     """Seed of every random choice."""
     reference: Path | None = None
     """Mesh in world frame to measure against. Default: gt_mesh.ply in the data folder, if there is one."""
-    holdout_every: int = 10
+    holdout_every: Annotated[int, at_least(0)] = 10
     """Every so many train views one is held out for choosing the best state; 0: none."""
-    checkpoint_seconds: float = 60.0
+    checkpoint_seconds: Annotated[float, above(0, unit="seconds")] = 60.0
     """Wall seconds between checkpoints."""
     skip_views: tuple[str, ...] = ()
     """Names of train views to leave out; the scene plan adds those that show nothing new."""
@@ -153,7 +160,7 @@ class MethodConfig(ABC):
         """What the session hosts. Raises SculptError for what the user can mend."""
 
     def check(self) -> None:
-        """Raise ConfigError for the first value of the method's own that no run can use."""
+        """Raise ConfigError for values in their ranges that do not go together."""
         return
 
     def short_words(self) -> tuple[str, ...]:

@@ -1,23 +1,12 @@
 """Slot ``field``: a signed distance function with parameters."""
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from sculpt_framework.types import FieldSample
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ParameterGroup:
-    """Parameters that Adam moves at one rate."""
-
-    parameters: list[nn.Parameter]
-    rate: float
-    """In training, before the trainer's schedule."""
-    fit_rate: float
-    """At the start of fitting the field to the initial surface, which is far away and known exactly."""
+from sculpt_framework.parameters import ParameterGroup
 
 
 class Field(nn.Module, ABC):
@@ -29,12 +18,17 @@ class Field(nn.Module, ABC):
     """
 
     @abstractmethod
-    def forward(self, points: Float[Tensor, "n 3"]) -> FieldSample:
-        """Signed distance and features at points of the object frame."""
+    def forward(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
+        """Signed distance at points of the object frame, in object units; negative inside."""
 
     @abstractmethod
-    def parameter_groups(self) -> list[ParameterGroup]:
+    def parameter_groups(self) -> Sequence[ParameterGroup]:
         """All parameters, each in one group."""
+
+    def fit_groups(self) -> Sequence[ParameterGroup]:
+        """The same with the learning rates of fitting the field to the initial surface, which is far away and known
+        exactly. Those of training where a field does not say otherwise."""
+        return self.parameter_groups()
 
     @abstractmethod
     def set_detail(self, cell_size: float) -> None:

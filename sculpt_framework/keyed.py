@@ -21,9 +21,9 @@ class KeyedTable:
     ``leaves`` are the rows as leaf tensors that collect gradients. Between ``rekey`` calls they stay the same objects.
     """
 
-    def __init__(self, learning_rates: Mapping[str, float], betas: tuple[float, float] = (0.9, 0.999)):
-        """``learning_rates`` names the parameters; a parameter with rate 0 is kept but never changed."""
-        self.learning_rates = dict(learning_rates)
+    def __init__(self, rates: Mapping[str, float], betas: tuple[float, float] = (0.9, 0.999)):
+        """``rates`` are learning rates by the name of the parameter; one with rate 0 is kept but never changed."""
+        self.rates = dict(rates)
         self.betas = betas
         self.keys: Int64[Tensor, " n"] = torch.empty(0, dtype=torch.int64)
         self.leaves: dict[str, Tensor] = {}
@@ -36,8 +36,8 @@ class KeyedTable:
 
     @property
     def learning(self) -> list[Tensor]:
-        """The leaves that collect gradients, in the order of the learning rates."""
-        return [self.leaves[name] for name, rate in self.learning_rates.items() if rate > 0 and name in self.leaves]
+        """The leaves that collect gradients, in the order of the rates."""
+        return [self.leaves[name] for name, rate in self.rates.items() if rate > 0 and name in self.leaves]
 
     def locate(self, keys: Int64[Tensor, " m"]) -> tuple[Int64[Tensor, " m"], Bool[Tensor, " m"]]:
         """Row of each key and whether it is in the table; the row of an absent key is arbitrary but valid."""
@@ -62,9 +62,9 @@ class KeyedTable:
 
         ``located`` is what ``locate`` says of the keys, if that is known.
         """
-        if set(new_rows) != set(self.learning_rates):
-            raise ValueError(f"rows {sorted(new_rows)} do not match parameters {sorted(self.learning_rates)}")
-        if not self.learning_rates:
+        if set(new_rows) != set(self.rates):
+            raise ValueError(f"rows {sorted(new_rows)} do not match parameters {sorted(self.rates)}")
+        if not self.rates:
             self.keys, self._steps = keys.clone(), torch.zeros(keys.shape[0], device=keys.device)
             return
         row, known = self.locate(keys) if located is None else located
@@ -82,7 +82,7 @@ class KeyedTable:
                 values = _taken(self.leaves[name].detach(), row, new, values)
                 first = _taken(self._first[name], row, new, first)
                 second = _taken(self._second[name], row, new, second)
-            self.leaves[name] = values.clone().requires_grad_(self.learning_rates[name] > 0)
+            self.leaves[name] = values.clone().requires_grad_(self.rates[name] > 0)
             self._first[name], self._second[name] = first, second
         steps = torch.zeros(keys.shape[0], device=keys.device)
         if heirs is not None:
@@ -90,11 +90,11 @@ class KeyedTable:
         self._steps = _taken(self._steps, row, new, steps) if had_rows else steps
         self.keys = keys.clone()
 
-    def keep_only(self, learning_rates: Mapping[str, float]) -> None:
+    def keep_only(self, rates: Mapping[str, float]) -> None:
         """Drop all parameters but these, rows and optimiser state."""
-        self.learning_rates = dict(learning_rates)
+        self.rates = dict(rates)
         for rows in (self.leaves, self._first, self._second):
-            for name in rows.keys() - self.learning_rates.keys():
+            for name in rows.keys() - self.rates.keys():
                 del rows[name]
 
     def zero_grad(self) -> None:
@@ -112,7 +112,7 @@ class KeyedTable:
                 continue
             kept = leaf[still] if still is not None else None
             moments = (self._first[name], self._second[name])
-            move_rows(leaf, leaf.grad, *moments, self._steps, rate_factor * self.learning_rates[name], self.betas, eps)
+            move_rows(leaf, leaf.grad, *moments, self._steps, rate_factor * self.rates[name], self.betas, eps)
             if kept is not None:
                 leaf[still] = kept
 
@@ -131,7 +131,7 @@ class KeyedTable:
         if len(self) == 0:
             self.leaves, self._first, self._second = {}, {}, {}
             return
-        for name, rate in self.learning_rates.items():
+        for name, rate in self.rates.items():
             self.leaves[name] = state[f"value.{name}"].clone().requires_grad_(rate > 0)
             self._first[name] = state[f"first.{name}"].clone()
             self._second[name] = state[f"second.{name}"].clone()

@@ -10,9 +10,10 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 
 from sculpt_framework.extractors import Extraction
+from sculpt_framework.parameters import ParameterGroup
 from sculpt_framework.types import Camera, Rendering, Surface
 
 
@@ -49,10 +50,6 @@ class TrainingImage:
         return Target(rgb=rgb, alpha=self.alpha, name=self.name, camera=self.camera, background=background)
 
 
-TermParameters = Sequence[tuple[Sequence[nn.Parameter], float]]
-"""Parameters of a term, each group with its learning rate."""
-
-
 class Term:
     """What all terms may do beside saying how bad something is."""
 
@@ -60,7 +57,7 @@ class Term:
         """A stage begins, in which these are the images: whoever compares views with one another keeps them."""
         return
 
-    def parameter_groups(self) -> TermParameters:
+    def parameter_groups(self) -> Sequence[ParameterGroup]:
         """What the term learns itself: the same parameters each time, from the first ``begin`` on."""
         return ()
 

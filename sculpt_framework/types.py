@@ -143,14 +143,6 @@ class Scene:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class FieldSample:
-    """What a field says about points: signed distance (object units, negative inside) and features for colour."""
-
-    sdf: Float[Tensor, " n"]
-    features: Float[Tensor, "n c"]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class Surface:
     """A triangle mesh with names that outlive a re-extraction.
 

@@ -38,9 +38,8 @@ def gaussian_sculpting_everything() -> SculptingConfig:
             base_resolution=4,
             finest_resolution=256,
             hidden_units=0,
-            features=0,
             sphere_radius=0.5,
-            learning_rate=0.004,  # of one number per corner; two that moved alike at 0.002 each were the same field
+            rate=0.004,  # of one number per corner; two that moved alike at 0.002 each were the same field
             decoder_rate=0.002,
             level_falloff=1.0,
             coarse_to_fine=True,

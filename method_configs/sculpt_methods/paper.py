@@ -34,8 +34,7 @@ def gaussian_sculpting_paper() -> SculptingConfig:
             hidden_units=256,  # 4.1 "256 hidden units"
             skip_layer=4,  # 4.1 "skip connections"; where is ours
             frequencies=6,  # 4.1 "positional encoding"; how many is ours
-            features=256,  # 3.1 "high-dimensional features"; how many is ours
-            learning_rate=1e-4,  # 4.1 "learning rate for the SDF network is set to 0.0001"
+            rate=1e-4,  # 4.1 "learning rate for the SDF network is set to 0.0001"
         ),
         extractor=FlexiCubesConfig(
             split="center",  # 3.1 "a split weight gamma ... controlling adaptive triangulation"

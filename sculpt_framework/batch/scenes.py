@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+from sculpt_framework.command_line.request import parse
 from sculpt_framework.errors import ConfigError
 from sculpt_framework.experiments.plan import Cell, Plan, PlannedScene, folder_name, planned_scenes
 
@@ -53,8 +54,6 @@ def batch_plan(scenes: Sequence[PlannedScene], method: str, extra: Sequence[str]
 
     Raises ConfigError where a command line would not be valid; that is found without torch.
     """
-    from sculpt_framework.cli.train import parse
-
     config = parse((method, "--data", scenes[0].data, *extra))
     cells = tuple(
         Cell(

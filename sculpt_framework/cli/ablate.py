@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import tyro
 
 from sculpt_framework.cli import exit_codes
-from sculpt_framework.cli.options import Flag
+from sculpt_framework.command_line.options import Flag
 from sculpt_framework.errors import ConfigError
 
 PROGRAM = "sculpt-ablate"

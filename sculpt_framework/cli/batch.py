@@ -11,7 +11,7 @@ import tyro
 
 from sculpt_framework.cli import exit_codes
 from sculpt_framework.cli.ablate import split_extra
-from sculpt_framework.cli.options import Flag
+from sculpt_framework.command_line.options import Flag
 from sculpt_framework.errors import ConfigError
 
 if TYPE_CHECKING:

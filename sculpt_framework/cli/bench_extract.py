@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from sculpt_framework.cli.options import Flag
+from sculpt_framework.command_line.options import Flag
 from sculpt_framework.errors import ConfigError
 from sculpt_framework.memory import peak_bytes
 
@@ -150,6 +150,7 @@ def _measure(way: Way, resolution: int, request: ExtractRequest) -> ExtractRow:
     from sculpt_framework.adam import Adam
     from sculpt_framework.config import FieldConfig
     from sculpt_framework.geometry.band import discover
+    from sculpt_framework.parameters import ParameterGroup
 
     torch.set_num_threads(request.threads)
     device = torch.device(request.device)
@@ -161,10 +162,10 @@ def _measure(way: Way, resolution: int, request: ExtractRequest) -> ExtractRow:
     field.set_detail(2.0 / resolution)
     # Rates so small that the surface stays where it is.
     parameters = [parameter for group in field.parameter_groups() for parameter in group.parameters]
-    optimizer = Adam([(parameters, 1e-9)])
+    optimizer = Adam([ParameterGroup(parameters=parameters, rate=1e-9)])
 
     def sdf(points: torch.Tensor) -> torch.Tensor:
-        return field(points).sdf
+        return field(points)
 
     before = _resident_megabytes(device)
     seeds = discover(sdf, extractor.grid, 0, lipschitz=1.5, device=device)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from sculpt_framework.cli.bench_splats import bumpy_sphere_camera
-from sculpt_framework.cli.options import Flag
+from sculpt_framework.command_line.options import Flag
 from sculpt_framework.errors import ConfigError
 from sculpt_framework.memory import peak_bytes
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from sculpt_framework import registry
-from sculpt_framework.cli.options import Flag
+from sculpt_framework.command_line.options import Flag
 from sculpt_framework.config import DatasetConfig, ExtractorConfig, InitializerConfig
 from sculpt_framework.errors import ConfigError, DataError
 

@@ -11,7 +11,7 @@ import tyro
 
 from sculpt_framework import registry
 from sculpt_framework.cli.bench_splats import bumpy_sphere, bumpy_sphere_camera
-from sculpt_framework.cli.options import Flag
+from sculpt_framework.command_line.options import Flag
 from sculpt_framework.config import RasterizerConfig
 from sculpt_framework.errors import ConfigError
 

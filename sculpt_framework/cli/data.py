@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, cast
 
 from sculpt_framework import registry
 from sculpt_framework.cli import exit_codes
+from sculpt_framework.ranges import require
+from sculpt_framework.validation import check_component
 
 if TYPE_CHECKING:
     import numpy as np
@@ -40,8 +42,16 @@ def data() -> None:
 def write_demo(name: str, folder: Path, views: int, test_views: int, resolution: int) -> None:
     """Render a demo scene into a new or empty folder. Raises DataError, ConfigError, OutputError."""
     from sculpt_framework.demo_scenes.folder import DemoSettings, write_scene
+    from sculpt_framework.demo_scenes.limits import RESOLUTION, TEST_VIEWS, TRAIN_VIEWS
     from sculpt_framework.demo_scenes.objects import demo_object
 
+    sizes = (
+        ("views", views, TRAIN_VIEWS),
+        ("test-views", test_views, TEST_VIEWS),
+        ("resolution", resolution, RESOLUTION),
+    )
+    for option, value, limits in sizes:
+        require(value in limits, option, value, str(limits))
     settings = DemoSettings(train_views=views, test_views=test_views, resolution=resolution)
     item = demo_object(name)
     live = sys.stderr.isatty()
@@ -172,7 +182,9 @@ def _check_new(folder: Path) -> None:
 
 def _load(folder: str, downscale: int | None) -> "Scene":
     config = cast("DatasetConfig", registry.default("dataset", "auto"))
-    return replace(config, **({} if downscale is None else {"downscale": downscale})).build(folder).load()
+    config = replace(config, **({} if downscale is None else {"downscale": downscale}))
+    check_component(config)
+    return config.build(folder).load()
 
 
 def _write_picture(path: Path, pixels: "np.ndarray") -> None:

@@ -19,7 +19,7 @@ from sculpt_framework.demo_scenes.cameras import FIELD_OF_VIEW, Placement, demo_
 from sculpt_framework.demo_scenes.objects import DemoObject
 from sculpt_framework.demo_scenes.reference import reference_mesh
 from sculpt_framework.demo_scenes.tracing import render, surface_color
-from sculpt_framework.errors import ConfigError, OutputError
+from sculpt_framework.errors import OutputError
 from sculpt_framework.types import Camera
 
 Progress = Callable[[int, int], None]
@@ -30,7 +30,7 @@ _OPENCV_TO_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 
 @dataclass(frozen=True, kw_only=True)
 class DemoSettings:
-    """How a scene is rendered. Raises ConfigError where that is impossible."""
+    """How a scene is rendered, within ``limits.py``."""
 
     train_views: int = 100
     test_views: int = 20
@@ -40,15 +40,6 @@ class DemoSettings:
     """Cells along the diameter of the unit ball when the reference mesh is extracted; None: as the object asks."""
     seen_from: Placement | None = None
     """Where cameras stand; None: as the object asks."""
-
-    def __post_init__(self) -> None:
-        for what, value, low, high in (
-            ("train views", self.train_views, 1, 10_000),
-            ("test views", self.test_views, 0, 10_000),
-            ("resolution", self.resolution, 16, 4096),
-        ):
-            if not low <= value <= high:
-                raise ConfigError(f"a demo scene cannot have {value} as its {what}; expected {low} to {high}.")
 
 
 def write_scene(item: DemoObject, settings: DemoSettings, folder: Path, progress: Progress | None = None) -> None:

@@ -5,13 +5,16 @@ from sculpt_framework.engine.parallel import Processes
 from sculpt_framework.plan.decision import ScenePlan
 from sculpt_framework.serialization import config_from_json, config_to_json
 from sculpt_framework.types import Scene
+from sculpt_framework.validation import check
 
 
 def planned(config: MethodConfig, scene: Scene, processes: Processes) -> tuple[MethodConfig, ScenePlan | None]:
     """What to train, after a look at the scene (``MethodConfig.planned``).
 
-    The first process has the plan, all have the config that follows from it.
+    The first process has the plan, all have the config that follows from it. Raises ConfigError for values that no run
+    can use.
     """
+    check(config)
     if processes.count == 1:
         return config.planned(scene)
     made: list[ScenePlan | None] = []

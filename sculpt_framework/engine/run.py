@@ -65,7 +65,7 @@ def run(config: MethodConfig, *, resume: Path | None, started: float) -> None:
             return
     saved = None if resume is None else read_checkpoint(resume / CHECKPOINTS)
     for observer in config.observers:
-        observer.check()
+        observer.check_start()
     if resume is None:
         config.check_start()
     scene = processes.in_turn(lambda: config.dataset.build(config.data).load())

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from sculpt_framework.command_line.request import parse
 from sculpt_framework.config import MethodConfig
 from sculpt_framework.engine.output import scene_name
 from sculpt_framework.errors import ConfigError, OutputError
@@ -143,8 +144,6 @@ def cross(
 
 def config_of(setting: Setting, scene: PlannedScene, extra: Sequence[str]) -> MethodConfig:
     """The config a setting stands for, found without torch. Raises ConfigError, naming the setting."""
-    from sculpt_framework.cli.train import parse
-
     try:
         return parse(_start_of(setting, scene, extra))
     except ConfigError as error:

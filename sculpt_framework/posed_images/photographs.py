@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from jaxtyping import Float64
 
-from sculpt_framework.errors import ConfigError, DataError
+from sculpt_framework.errors import DataError
 from sculpt_framework.posed_images.box import Region, box_in_words, fit_box
 from sculpt_framework.posed_images.clues import Clues, points_bounds
 from sculpt_framework.posed_images.options import PhotographsConfig
@@ -19,23 +19,6 @@ from sculpt_framework.threads import in_threads
 from sculpt_framework.types import Box, Scene, View
 
 Item = TypeVar("Item")
-
-
-def check_options(options: PhotographsConfig) -> None:
-    """Raises ConfigError for options out of range."""
-    if options.downscale < 0:
-        raise ConfigError(
-            f"--dataset.downscale is {options.downscale}; expected 0 (automatic), 1 (all pixels) or more."
-        )
-    if options.test_every < 0 or options.test_every == 1:
-        raise ConfigError(f"--dataset.test-every is {options.test_every}; expected 0, or 2 or more.")
-    if options.box is not None:
-        low, high = np.array(options.box[:3]), np.array(options.box[3:])
-        if not (np.isfinite(low).all() and np.isfinite(high).all() and (low < high).all()):
-            raise ConfigError(
-                f"--dataset.box is {' '.join(f'{value:g}' for value in options.box)}; expected X0 Y0 Z0 X1 Y1 Z1 with "
-                "each first number below the second."
-            )
 
 
 def hold_out(items: Sequence[Item], every: int, where: str) -> tuple[list[Item], list[Item], str]:

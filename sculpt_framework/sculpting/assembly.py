@@ -49,8 +49,6 @@ def build_parts(
     """Build every component. Parameters are drawn from torch's own generator, seeded here with the run's seed."""
     device = pick_device(config.device)
     trainer = config.trainer
-    if not trainer.stages:
-        raise ConfigError("the method has no stages; --trainer.stages needs at least one")
     grid = grid_over_box(box.half_sides, trainer.base_cells)
     rasterizer = config.rasterizer.build(device)
     # The caller's own random numbers go on as if there had been no run.
@@ -158,9 +156,7 @@ def set_level(parts: Parts, level: int) -> None:
 def find_seeds(parts: Parts) -> None:
     """Have the trainer start from all cells that the field's surface passes through."""
     field, grid = parts.trainer.field, parts.trainer.extractor.grid
-    parts.trainer.seeds = discover(
-        lambda points: field(points).sdf, grid, coarse_level=0, lipschitz=_LIPSCHITZ, device=parts.device
-    )
+    parts.trainer.seeds = discover(field, grid, coarse_level=0, lipschitz=_LIPSCHITZ, device=parts.device)
 
 
 def fit_seeds(parts: Parts) -> None:

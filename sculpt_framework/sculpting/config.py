@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from sculpt_framework.config import (
     AppearanceConfig,
@@ -17,6 +17,7 @@ from sculpt_framework.config import (
     RasterizerConfig,
 )
 from sculpt_framework.errors import ConfigError
+from sculpt_framework.ranges import above, at_least, between, require
 
 if TYPE_CHECKING:
     from sculpt_framework.engine.progress import Saved
@@ -29,18 +30,18 @@ if TYPE_CHECKING:
 class StageConfig:
     """A stretch of training at one grid level and one image size."""
 
-    share: float
+    share: Annotated[float, above(0)]
     """Share of the outer steps that this stage takes; relative."""
-    time_share: float | None = None
+    time_share: Annotated[float | None, above(0)] = None
     """Share of the time that this stage takes under ``--max-time``, relative; default: the same as ``share``. Fine
     stages cost more per step."""
-    level: int
+    level: Annotated[int, between(0, 10)]
     """Grid level: cells are halved with each level."""
-    image_scale: float
+    image_scale: Annotated[float, above(0, at_most=1)]
     """Side of the training images relative to the input, in (0, 1]."""
-    inner_steps: int
+    inner_steps: Annotated[int, at_least(0)]
     """Inner (Gaussian) steps per outer step, one view each."""
-    outer_views: int
+    outer_views: Annotated[int, at_least(1)]
     """Views whose gradients one outer (surface) step adds up."""
     silhouette_only: bool = False
     """Shape by silhouettes alone, before colours count (paper, 3.3)."""
@@ -52,47 +53,47 @@ class TrainerConfig:
 
     stages: tuple[StageConfig, ...]
     """Coarse to fine."""
-    base_cells: int
+    base_cells: Annotated[int, at_least(2)]
     """Grid cells along the longest side of the object's box at level 0."""
-    cell_pixels: float | None = None
+    cell_pixels: Annotated[float | None, above(0, at_most=1000)] = None
     """Width that cells have at least, in pixels of the stage's image that shows them best: where the stage's cells are
     narrower, larger ones take their place. Default: all cells of a stage are alike."""
-    final_rate: float = 0.05
+    final_rate: Annotated[float, above(0, at_most=1)] = 0.05
     """Share of their start to which learning rates fall, exponentially, over the run."""
-    surface_steps: float = 0.0
+    surface_steps: Annotated[float, at_least(0)] = 0.0
     """What the surface's rates, as shares of their start, add up to over the run at most: the longer it is, the sooner
     they fall, so that time goes into refining. 0: no bound."""
     gradient_isolation: bool = True
     """Optimise a detached copy of the Gaussians in the inner loop; off: one joint update of everything (ablation)."""
     warm_start: bool = True
     """Keep each face's Gaussian parameters and optimiser state across outer steps; off: start anew (paper)."""
-    inner_batch: int | None = None
+    inner_batch: Annotated[int | None, at_least(1)] = None
     """Views that one inner step takes together; there are as many fewer steps. Default: as many as there are processes
     (torchrun), so one alone takes one; a run that is gone on with keeps its number."""
-    bind_every: int = 4
+    bind_every: Annotated[int, at_least(1)] = 4
     """Places, scales and rotations of the Gaussians learn in every so many inner steps; colours in all."""
-    sh_degree_every: int = 1000
+    sh_degree_every: Annotated[int, at_least(1)] = 1000
     """Inner steps after which one more degree of spherical harmonics becomes active (3DGS: 1000)."""
-    low_pass_px2: float = 0.05
+    low_pass_px2: Annotated[float, at_least(0)] = 0.05
     """Variance added to every splat on the screen, in square pixels (3DGS: 0.3)."""
     random_background: bool = True
     """Compose images over a new random colour each step; off: over white."""
-    fit_steps: int = 200
+    fit_steps: Annotated[int, at_least(0)] = 200
     """Steps of fitting the field to the initial surface."""
-    warm_up_steps: int = 0
+    warm_up_steps: Annotated[int, at_least(0)] = 0
     """Inner steps before the surface first moves: what has no colour yet pulls it wrong ways. Under a time limit they
     take a quarter of it at most."""
-    ramp_steps: int = 1
+    ramp_steps: Annotated[int, at_least(1)] = 1
     """Outer steps over which the surface's rates grow to their full size: Adam's first steps are as long for noise as
     for what matters, and would roughen a good start."""
-    trust_cells: float = 0.0
+    trust_cells: Annotated[float, at_least(0)] = 0.0
     """How far one step may move the surface, in cells of the stage, where it moves farthest (all but 5 % of it), times
     the learning rates' share of their start: a longer step is shortened. 0: as far as the rates take it."""
-    polish_steps: int = 100
+    polish_steps: Annotated[int, at_least(0)] = 100
     """Inner steps on the final surface, for the colours that are saved."""
-    polish_gain_db: float = 0.0
+    polish_gain_db: Annotated[float, at_least(0)] = 0.0
     """Stop that once twenty steps gain less than the twenty before on two held-out views; 0: never."""
-    rest_after: int = 0
+    rest_after: Annotated[int, at_least(0)] = 0
     """Evaluations without effect after which a term of an objective rests, tried again every so many; 0: never."""
 
 
@@ -149,7 +150,7 @@ class SculptingConfig(MethodConfig):
 
     refine_box: tuple[tuple[float, float, float, float, float, float], ...] = ()
     """A box in world frame in which the surface gets finer cells; for several, give the option several times."""
-    refine_box_levels: int = 1
+    refine_box_levels: Annotated[int, between(1, 6)] = 1
     """How many times cells are halved in these boxes."""
     repair: Path | None = None
     """A finished run that this one goes on with in these boxes; outside, its surface stays. Set by ``--resume``."""
@@ -171,9 +172,12 @@ class SculptingConfig(MethodConfig):
         return Sculpting(self, scene, host)
 
     def check(self) -> None:
-        from sculpt_framework.sculpting.ranges import check
-
-        check(self)
+        for low, high in ((box[:3], box[3:]) for box in self.refine_box):
+            given = " ".join(f"{number:g}" for number in (*low, *high))
+            holds = all(a < b for a, b in zip(low, high, strict=True))
+            require(holds, "refine-box", given, "X0 < X1, Y0 < Y1, Z0 < Z1")
+        if not self.trainer.stages:
+            raise ConfigError("the method has no stages; a run needs at least one.")
 
     def short_words(self) -> tuple[str, ...]:
         """A step or so of every stage."""

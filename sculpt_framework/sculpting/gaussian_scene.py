@@ -23,10 +23,10 @@ class GaussianScene:
     def __init__(self, binder: Binder, appearance: Appearance):
         self.binder = binder
         self.appearance = appearance
-        self.geometry_rows = KeyedTable(binder.learning_rates)
-        self.appearance_rows = KeyedTable(appearance.learning_rates)
-        groups = appearance.optimizer_groups()
-        self.shared_optimizer = Adam([(group["params"], group["lr"]) for group in groups]) if groups else None
+        self.geometry_rows = KeyedTable(binder.rates)
+        self.appearance_rows = KeyedTable(appearance.rates)
+        groups = appearance.parameter_groups()
+        self.shared_optimizer = Adam(groups) if groups else None
         self.blur = 0.0
         """Standard deviation of the screen's low-pass filter at the object, in object units; follows the images."""
         self._centroids: Float[Tensor, "f 3"] | None = None
@@ -34,7 +34,7 @@ class GaussianScene:
     @property
     def learns_places(self) -> bool:
         """Whether the binder has anything to learn."""
-        return any(rate > 0 for rate in self.geometry_rows.learning_rates.values())
+        return any(rate > 0 for rate in self.geometry_rows.rates.values())
 
     @property
     def learning(self) -> list[Tensor]:
@@ -43,8 +43,8 @@ class GaussianScene:
 
     def forget(self) -> None:
         """Drop all rows: the next surface starts with new Gaussians (paper: a cold start at every outer step)."""
-        self.geometry_rows = KeyedTable(self.binder.learning_rates)
-        self.appearance_rows = KeyedTable(self.appearance.learning_rates)
+        self.geometry_rows = KeyedTable(self.binder.rates)
+        self.appearance_rows = KeyedTable(self.appearance.rates)
         self._centroids = None
 
     def follow(self, surface: Surface) -> None:
@@ -83,7 +83,7 @@ class GaussianScene:
     def lower_sh_degree(self, degree: int) -> None:
         """Give up the bands above this one: their rows and all that learning keeps of them."""
         self.appearance.set_sh_degree(degree)
-        self.appearance_rows.keep_only(self.appearance.learning_rates)
+        self.appearance_rows.keep_only(self.appearance.rates)
 
     def zero_grad(self) -> None:
         self.geometry_rows.zero_grad()
@@ -103,7 +103,7 @@ class GaussianScene:
     def load_state(self, state: Mapping[str, Tensor]) -> None:
         """Inverse of ``state``. Raises KeyError where an entry is missing."""
         self.appearance.set_sh_degree(int(state["sh_degree"]))
-        self.appearance_rows.keep_only(self.appearance.learning_rates)
+        self.appearance_rows.keep_only(self.appearance.rates)
         for prefix, table in (("geometry.", self.geometry_rows), ("appearance.", self.appearance_rows)):
             table.load_state({name[len(prefix) :]: value for name, value in state.items() if name.startswith(prefix)})
         self._centroids = state["centroids"].clone() if "centroids" in state else None

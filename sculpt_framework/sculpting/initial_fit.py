@@ -79,8 +79,7 @@ def fit_field(field: Field, volume: Volume, *, steps: int, generator: torch.Gene
     near = (values.abs() < _NEAR_CELLS * volume.cell).nonzero()[:, 0]
     if len(near) == 0:
         near = values.abs().topk(min(1000, len(values)), largest=False).indices
-    groups = field.parameter_groups()
-    optimizer = Adam([(group.parameters, group.fit_rate) for group in groups], betas=(0.9, 0.99))
+    optimizer = Adam(field.fit_groups(), betas=(0.9, 0.99))
     close = round(_NEAR_SHARE * _SAMPLES)
     error = float("nan")
     for step in range(steps):
@@ -89,7 +88,7 @@ def fit_field(field: Field, volume: Volume, *, steps: int, generator: torch.Gene
         jitter = (torch.rand(_SAMPLES, 3, generator=generator) - 0.5).to(points) * volume.cell
         where = points[torch.cat([chosen, anywhere])] + jitter
         wanted = target(where).clamp(-_TRUNCATION, _TRUNCATION)
-        sdf = field(where).sdf
+        sdf = field(where)
         # Where the target is cut, the field may say anything beyond the cut of the right sign.
         cut = wanted.abs() >= 0.999 * _TRUNCATION
         residual = torch.where(cut, (_TRUNCATION - sdf * wanted.sign()).clamp(min=0), (sdf - wanted).abs())

@@ -77,7 +77,7 @@ def signed_distance(
 
     Without the passage the two would meet at the wall in a step as high as the surface has moved.
     """
-    sdf = field(points).sdf
+    sdf = field(points)
     for each in frozen:
         share = (each.region.depth(points) / margin).clamp(0, 1)
         inside = share > 0
@@ -85,7 +85,7 @@ def signed_distance(
             continue
         share = share[inside]
         share = share * share * (3 - 2 * share)
-        kept = each.field(points[inside]).sdf.detach()
+        kept = each.field(points[inside]).detach()
         sdf = sdf.index_put((inside.nonzero()[:, 0],), kept * share + sdf[inside] * (1 - share))
     return sdf
 

@@ -101,7 +101,7 @@ class BiLevelTrainer:
         self.extractor = extractor
         self.scene = scene
         groups = field.parameter_groups()
-        self.optimizer = Adam([(group.parameters, group.rate) for group in groups], betas=(0.9, 0.99))
+        self.optimizer = Adam(groups, betas=(0.9, 0.99))
         self.seeds: Int64[Tensor, " s"] | None = None
         """Cells the surface was in after the latest extraction."""
         self.extraction: Extraction | None = None
@@ -288,7 +288,7 @@ class BiLevelTrainer:
             value = float(term.detach())
             if term.requires_grad:
                 term.backward()
-        own = [parameter for group, _ in objective.term.parameter_groups() for parameter in group]
+        own = [parameter for group in objective.term.parameter_groups() for parameter in group.parameters]
         (value,) = self.processes.reduce([leaf, *own], {objective.name: value}).values()
         if leaf.grad is not None and surface.vertices.requires_grad:
             walk.roots.append(surface.vertices)

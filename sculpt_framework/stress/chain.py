@@ -93,7 +93,7 @@ def walk(method: SculptingConfig, field: str, dtype: torch.dtype, degenerate: st
 
 def _walk(method: SculptingConfig, field: Field, grid: Grid, dtype: torch.dtype, degenerate: str | None) -> Walk:
     def sdf(points: Tensor) -> Tensor:
-        value = field(points).sdf
+        value = field(points)
         if degenerate == "flat":
             # The straight-through value of a rounded distance: most crossings fall on corners.
             rounded = (value.detach() / grid.cell).round() * grid.cell
@@ -101,7 +101,7 @@ def _walk(method: SculptingConfig, field: Field, grid: Grid, dtype: torch.dtype,
         return value
 
     extractor = method.extractor.build(grid, _CPU)
-    extraction = extractor.extract(sdf, discover(lambda p: field(p).sdf, grid, 0, lipschitz=1.5))
+    extraction = extractor.extract(sdf, discover(field, grid, 0, lipschitz=1.5))
     binder = method.binder.build()
     new = binder.new_rows(len(extraction.surface.faces), _CPU, dtype)
     push = 30.0 if degenerate == "folded" else 0.1

@@ -186,7 +186,7 @@ def _scaled(config: object, factor: float, names: Sequence[str]) -> object:
 
 
 def _field_rate(config: SculptingConfig, factor: float) -> SculptingConfig:
-    return replace(config, field=_scaled(config.field, factor, ("learning_rate",)))  # pyright: ignore
+    return replace(config, field=_scaled(config.field, factor, ("rate",)))  # pyright: ignore
 
 
 def _bounded_field_rate(config: SculptingConfig, factor: float) -> SculptingConfig:

@@ -154,7 +154,7 @@ def _field(name: str, reach: float) -> Measured:
 
     def compute(inputs: Mapping[str, Tensor]) -> dict[str, Tensor]:
         points = inputs["points"]
-        return {"sdf": (field if points.dtype == torch.float32 else double)(points).sdf}
+        return {"sdf": (field if points.dtype == torch.float32 else double)(points)}
 
     # Not on cell walls of a grid, where the gradient jumps.
     points = torch.cat([reach * 0.37 * _normal(200, 3), torch.zeros(1, 3, dtype=torch.float64) + 1e-9])

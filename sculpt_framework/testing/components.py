@@ -35,29 +35,31 @@ def check_field(config: FieldConfig, device: torch.device | None = None) -> None
     field = config.build(device)
     field.set_detail(0.05)
     far = torch.tensor([[0.0, 0.0, 0.0], [1.0, -1.0, 1.0], [1e3, 0.0, 0.0], [-1e6, 1e6, 1e6]], device=device)
-    sample = field(far)
-    require(sample.sdf.shape == (4,), f"sdf of 4 points has shape {tuple(sample.sdf.shape)}")
-    require(sample.features.shape[0] == 4, "features are not one row per point")
-    require(bool(torch.isfinite(sample.sdf).all() & torch.isfinite(sample.features).all()), "far points are not finite")
-    require(field(far[:0]).sdf.shape == (0,), "no points give no empty answer")
+    sdf = field(far)
+    require(sdf.shape == (4,), f"sdf of 4 points has shape {tuple(sdf.shape)}")
+    require(bool(torch.isfinite(sdf).all()), "far points are not finite")
+    require(field(far[:0]).shape == (0,), "no points give no empty answer")
     directions = torch.nn.functional.normalize(torch.randn(500, 3, device=device), dim=1)
     with torch.no_grad():
-        require(float(field(0.02 * directions).sdf.max()) < 0, "as built, the centre is not inside")
-        require(float(field(directions).sdf.mean()) > 0.1, "as built, the unit sphere is not outside")
+        require(float(field(0.02 * directions).max()) < 0, "as built, the centre is not inside")
+        require(float(field(directions).mean()) > 0.1, "as built, the unit sphere is not outside")
 
     points = (0.5 * directions).requires_grad_()
-    (slope,) = torch.autograd.grad(field(points).sdf.sum(), [points])
+    (slope,) = torch.autograd.grad(field(points).sum(), [points])
     outward = (slope * directions).sum(dim=1)
     require(bool(torch.isfinite(slope).all()), "the gradient by the points is not finite")
     require(
         0.5 < float(outward.mean()) < 2.0, f"as built, the sdf grows by {float(outward.mean()):.2f} per unit outwards"
     )
-    field(points).sdf.square().sum().backward()
+    field(points).square().sum().backward()
     grouped = [parameter for group in field.parameter_groups() for parameter in group.parameters]
     owned = [parameter for parameter in field.parameters() if parameter.requires_grad]
     require(len(grouped) == len({id(each) for each in grouped}), "a parameter is in two groups")
     require({id(each) for each in grouped} == {id(each) for each in owned}, "the groups do not hold all parameters")
-    require(all(group.rate > 0 and group.fit_rate > 0 for group in field.parameter_groups()), "a rate is not positive")
+    fitted = [parameter for group in field.fit_groups() for parameter in group.parameters]
+    require({id(each) for each in fitted} == {id(each) for each in owned}, "the groups of fitting miss parameters")
+    groups = [*field.parameter_groups(), *field.fit_groups()]
+    require(all(group.rate > 0 for group in groups), "a rate is not positive")
     learned = [each.grad for each in grouped if each.grad is not None]
     require(any(bool(gradient.any()) for gradient in learned), "no parameter gets a gradient from the sdf")
     require(all(bool(torch.isfinite(gradient).all()) for gradient in learned), "a parameter's gradient is not finite")
@@ -103,7 +105,7 @@ def check_binder(config: BinderConfig, device: torch.device | None = None) -> No
         vertices=surface.vertices.clone().requires_grad_(), faces=surface.faces, face_keys=surface.face_keys
     )
     binding, rows = _bind(binder, surface)
-    require(set(rows) == set(binder.learning_rates), "new_rows and learning_rates name different parameters")
+    require(set(rows) == set(binder.rates), "new_rows and rates name different parameters")
     require(all(row.shape[0] == faces for row in rows.values()), "a row parameter is not one row per face")
     require(binding.means.shape == (faces, k, 3), f"means have shape {tuple(binding.means.shape)}")
     weights = binding.barycentrics
@@ -139,15 +141,14 @@ def check_appearance(config: AppearanceConfig, device: torch.device | None = Non
     appearance = config.build(device)
     means = (torch.rand(6, 2, 3, device=device) - 0.5).requires_grad_()
     rows = appearance.new_rows(means.detach())
-    require(set(rows) == set(appearance.learning_rates), "new_rows and learning_rates name different parameters")
+    require(set(rows) == set(appearance.rates), "new_rows and rates name different parameters")
     require(all(row.shape[0] == 6 for row in rows.values()), "a row parameter is not one row per face")
     leaves = {name: row.clone().requires_grad_() for name, row in rows.items()}
     sh = appearance(means, leaves)
     expected = (6, 2, bands(appearance.sh_degree), 3)
     require(sh.shape == expected, f"coefficients have shape {tuple(sh.shape)} instead of {expected}")
     require(bool(torch.isfinite(sh).all()), "coefficients are not finite")
-    shared = [parameter for group in appearance.optimizer_groups() for parameter in group["params"]]
-    require(all("lr" in group for group in appearance.optimizer_groups()), "a parameter group has no rate")
+    shared = [parameter for group in appearance.parameter_groups() for parameter in group.parameters]
     sh.square().sum().backward(retain_graph=True)
     (sh.sum()).backward()
     require(means.grad is None, "colours have a gradient by positions")

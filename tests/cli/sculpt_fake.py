@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 from sculpt_framework.config import (
     AppearanceConfig,
@@ -16,6 +16,7 @@ from sculpt_framework.config import (
     ObserverConfig,
     RasterizerConfig,
 )
+from sculpt_framework.ranges import above, at_least
 from sculpt_framework.sculpting.config import SculptingConfig, StageConfig, TrainerConfig
 
 
@@ -34,17 +35,17 @@ class PlainConfig(FieldConfig):
 class FancyConfig(FieldConfig):
     """A field with many settings, one of every type."""
 
-    num_levels: int = 7
+    num_levels: Annotated[int, at_least(1)] = 7
     """Levels of the grid."""
     resolution: tuple[int, int] = (4, 256)
     """Cells across [-1, 1] at the coarsest and the finest level."""
-    octaves: tuple[float, ...] = (1.0, 2.0)
+    octaves: tuple[Annotated[float, above(0)], ...] = (1.0, 2.0)
     """Frequencies, per object unit."""
     decoder: Literal["linear", "deep"] = "linear"
     """What reads the grid."""
     weights: Path | None = None
     """File of weights to start from; none: at random."""
-    limit: float | None = None
+    limit: Annotated[float, at_least(0)] | None = None
     """Largest value, in object units; none: no limit."""
     coarse_to_fine: bool = True
     """Wake the levels one after the other."""

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from sculpt_framework import registry
-from sculpt_framework.cli.options import flags
-from sculpt_framework.cli.train import overview, parse
+from sculpt_framework.command_line.options import flags
+from sculpt_framework.command_line.request import overview, parse
 
 Snapshot = Callable[[str, str], None]
 HEAVY = ("torch", "viser", "trimesh", "cv2", "numpy", "scipy", "numba")

@@ -4,7 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from sculpt_framework.cli.train import main, parse, read_request
+from sculpt_framework.cli.train import main
+from sculpt_framework.command_line.request import parse, read_request
 from sculpt_framework.errors import SculptError
 
 BUILT_IN = "mlp, hash-grid, dense-grid, fancy, plain"
@@ -65,6 +66,9 @@ MISTAKES = {
     "fake --data x --seed -1": "--seed is -1; expected 0 or more, below 2^63.",
     "fake --data x --threads 0": "--threads is 0; expected 1 or more.",
     "fake --data x --losses.outline.weight nan": "--losses.outline.weight is nan; expected a finite number.",
+    "fake --data x --field fancy --field.num-levels 0": "--field.num-levels is 0; expected 1 or more.",
+    "fake --data x --field fancy --field.octaves 1 0": "--field.octaves.1 is 0.0; expected above 0.",
+    "fake --data x --field fancy --field.limit -1": "--field.limit is -1.0; expected 0 or more.",
     "fake --data x --losses.outline.weight -1": "--losses.outline.weight is -1.0; expected 0 or more.",
     "fake --data x --trainer.stages.1.share 0": "--trainer.stages.1.share is 0.0; expected above 0.",
     "fake --data x --trainer.final-rate 2": "--trainer.final-rate is 2.0; expected above 0, at most 1.",

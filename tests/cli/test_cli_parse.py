@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from sculpt_framework import registry
-from sculpt_framework.cli.options import flags
-from sculpt_framework.cli.train import parse, read_request
+from sculpt_framework.command_line.options import flags
+from sculpt_framework.command_line.request import parse, read_request
 from sculpt_framework.config import MethodConfig
 from sculpt_framework.errors import CheckpointError, ConfigError
 from sculpt_framework.serialization import config_to_json

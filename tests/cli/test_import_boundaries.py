@@ -54,9 +54,11 @@ def loaded(statement: str) -> set[str]:
     return set(done.stdout.split())
 
 
-@pytest.mark.parametrize("module", ["train", "options", "exit_codes", "report"])
+@pytest.mark.parametrize(
+    "module", ["cli.train", "cli.exit_codes", "cli.report", "command_line.request", "command_line.options"]
+)
 def test_the_command_line_imports_nothing_heavy(module: str):
-    assert not loaded(f"import sculpt_framework.cli.{module}") & set(HEAVY)
+    assert not loaded(f"import sculpt_framework.{module}") & set(HEAVY)
 
 
 def test_no_config_module_imports_anything_heavy():
@@ -78,13 +80,19 @@ def test_the_framework_names_no_plug_in_but_for_the_table():
 
 @pytest.mark.parametrize("folder", ["geometry", "rendering", "encodings"])
 def test_pure_functions_know_nothing_of_the_engine(folder: str):
-    above = ("engine", "cli", "registry", "config", "evaluation", "observers")
+    above = ("engine", "command_line", "registry", "config", "evaluation", "observers")
     assert not offences(FRAMEWORK / folder, *(f"sculpt_framework.{name}" for name in above))
+
+
+@pytest.mark.parametrize("folder", TOPS, ids=lambda folder: folder.name)
+def test_nothing_imports_the_commands(folder: Path):
+    found = offences(folder, "sculpt_framework.cli")
+    assert not [each for each in found if not each.startswith("sculpt_framework/cli/")]
 
 
 def test_the_engine_knows_neither_command_line_nor_viewer_nor_the_method():
     assert not offences(
-        FRAMEWORK / "engine", "sculpt_framework.cli", "sculpt_framework.sculpting", "viser", "rich", "tyro"
+        FRAMEWORK / "engine", "sculpt_framework.command_line", "sculpt_framework.sculpting", "viser", "rich", "tyro"
     )
     assert not offences(FRAMEWORK / "evaluation", "sculpt_framework.engine", "sculpt_framework.sculpting")
 

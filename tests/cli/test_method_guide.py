@@ -49,7 +49,9 @@ def words(module: str, *more: str) -> list[str]:
 
 
 def environment(installed: Path) -> dict[str, str]:
-    return {**os.environ, "PYTHONPATH": str(installed), "COLUMNS": "160", "NO_COLOR": "1", "OMP_NUM_THREADS": "1"}
+    # What is on the path already stays: it says which checkout is tested.
+    paths = os.pathsep.join([str(installed), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep)
+    return {**os.environ, "PYTHONPATH": paths, "COLUMNS": "160", "NO_COLOR": "1", "OMP_NUM_THREADS": "1"}
 
 
 def sculpt(installed: Path, module: str, *more: str) -> str:

@@ -37,7 +37,9 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def sculpt_train(words: str, path: Path, folder: Path) -> subprocess.CompletedProcess[str]:
     script = "from sculpt_framework.cli.train import main; main()"
-    changes = {"PYTHONPATH": str(path), "COLUMNS": "100", "NO_COLOR": "1", "XDG_CACHE_HOME": str(folder / "cache")}
+    # What is on the path already stays: it says which checkout is tested.
+    paths = os.pathsep.join([str(path), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep)
+    changes = {"PYTHONPATH": paths, "COLUMNS": "100", "NO_COLOR": "1", "XDG_CACHE_HOME": str(folder / "cache")}
     command = [sys.executable, "-c", script, *words.split()]
     return subprocess.run(
         command, capture_output=True, text=True, timeout=300, check=False, env=os.environ | changes, cwd=folder
@@ -68,6 +70,11 @@ def test_its_option_without_it_is_answered_with_the_flag_to_add(installed: Path,
     assert done.stderr == (
         "error: --field.frequency belongs to field 'siren', but this run uses 'hash-grid'. Add --field siren.\n"
     )
+
+
+def test_its_ranges_are_checked(installed: Path, tmp_path: Path):
+    done = sculpt_train("siren-sculpting --data demo --field.frequency 0", installed, tmp_path)
+    assert (done.returncode, done.stderr) == (2, "error: --field.frequency is 0.0; expected above 0.\n")
 
 
 def test_it_trains(installed: Path, tmp_path: Path):

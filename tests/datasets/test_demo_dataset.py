@@ -13,6 +13,7 @@ import torch
 import trimesh
 from plain_scenes import load, make_scene
 
+from sculpt_framework.api import load as load_scene
 from sculpt_framework.cli import data as command
 from sculpt_framework.demo_scenes.cameras import demo_cameras
 from sculpt_framework.demo_scenes.folder import DemoSettings, cached_scene, write_scene
@@ -97,11 +98,11 @@ def test_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize(
     ("field", "value", "what"),
-    [("train_views", 0, "train views"), ("test_views", -1, "test"), ("resolution", 9, "reso")],
+    [("train_views", 0, "train-views"), ("test_views", -1, "test-views"), ("resolution", 9, "resolution")],
 )
 def test_impossible_settings(field: str, value: int, what: str) -> None:
-    with pytest.raises(ConfigError, match=rf"cannot have {value} as its {what}"):
-        DemoConfig(**{field: value}).build("demo")
+    with pytest.raises(ConfigError, match=rf"--dataset\.{what} is {value}; expected"):
+        load_scene("demo", DemoConfig(**{field: value}))
 
 
 def test_demo_is_rendered_once_and_read_from_the_cache(cache: Path) -> None:
@@ -206,7 +207,7 @@ def test_command_writes_lists_and_inspects(
     [
         (["demo", "gapss", "DIR"], "no demo scene is called 'gapss'"),
         (["demo", "gaps", "."], "exists and is not empty"),
-        (["demo", "gaps", "new", "--views", "0"], "cannot have 0 as its train views"),
+        (["demo", "gaps", "new", "--views", "0"], "--views is 0; expected 1 to 10000"),
         (["inspect", "nowhere"], "nowhere: no such folder"),
     ],
 )

@@ -15,6 +15,7 @@ from sculpt_framework.demo_scenes.cameras import FIELD_OF_VIEW, demo_cameras
 from sculpt_framework.errors import ConfigError, DataError
 from sculpt_framework.evaluation.mesh import load_mesh
 from sculpt_framework.types import Scene
+from sculpt_framework.validation import check_component
 from sculpt_plugins.datasets.auto.config import AutoDatasetConfig
 from sculpt_plugins.datasets.auto.dataset import recognise
 from sculpt_plugins.datasets.omniobject3d.config import OmniObject3DConfig
@@ -206,7 +207,7 @@ def test_wrong_folders_and_options(write: Write, tmp_path: Path):
     with pytest.raises(DataError, match=r"no render/transforms\.json; found pan_007/; expected an object of"):
         load(folder.parent)
     with pytest.raises(ConfigError, match=r"--dataset\.test-every is 1; expected 0, or 2 or more"):
-        OmniObject3DConfig(test_every=1).build(str(folder))
+        check_component(OmniObject3DConfig(test_every=1))
     (tmp_path / "raw_scans" / "pan" / "pan_007" / "Scan" / "Scan.obj").write_text("v 0 0 0\n")
     with pytest.raises(DataError, match=r"Scan\.obj"):
         load(folder)

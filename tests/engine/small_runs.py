@@ -57,7 +57,7 @@ def on_a_sphere(config: SculptingConfig, scene: Scene) -> tuple[Parts, list[Trai
     """Components on a sphere, as the hash grid is built, with images to learn from."""
     parts = build_parts(config, scene.box, torch.Generator().manual_seed(0))
     trainer = parts.trainer
-    trainer.seeds = discover(lambda x: trainer.field(x).sdf, trainer.extractor.grid, 0)
+    trainer.seeds = discover(trainer.field, trainer.extractor.grid, 0)
     trainer.scene.blur = 0.01
     return parts, [prepare_image(view, scene.box, 0.5, parts.device) for view in scene.train]
 

@@ -8,6 +8,11 @@ import torch
 from torch import nn
 
 from sculpt_framework.adam import Adam
+from sculpt_framework.parameters import ParameterGroup
+
+
+def at_rate(parameters: list[nn.Parameter], rate: float) -> ParameterGroup:
+    return ParameterGroup(parameters=parameters, rate=rate)
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
@@ -15,7 +20,7 @@ def test_it_is_torchs(dtype: torch.dtype):
     generator = torch.Generator().manual_seed(1)
     ours = [nn.Parameter(torch.randn(size, generator=generator, dtype=dtype)) for size in ((7, 3), (5,), (2,))]
     theirs = [nn.Parameter(each.detach().clone()) for each in ours]
-    adam = Adam([(ours[:1], 0.1), (ours[1:], 0.02)], betas=(0.9, 0.99))
+    adam = Adam([at_rate(ours[:1], 0.1), at_rate(ours[1:], 0.02)], betas=(0.9, 0.99))
     groups = [{"params": theirs[:1], "lr": 0.1}, {"params": theirs[1:], "lr": 0.02}]
     reference = torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15)
     for step in range(20):
@@ -38,7 +43,7 @@ def _carried_over(adam: Adam, parameters: list[nn.Parameter]) -> Adam:
     """One that starts from the other's saved state. What never had a gradient has none, and has not moved."""
     state = {name: value.clone() for name, value in adam.state().items()}
     assert {name.partition(".")[0] for name in state} == {"0", "1"}
-    again = Adam([(parameters[:1], 0.1), (parameters[1:], 0.02)], betas=(0.9, 0.99))
+    again = Adam([at_rate(parameters[:1], 0.1), at_rate(parameters[1:], 0.02)], betas=(0.9, 0.99))
     again.load_state(state)
     return again
 
@@ -47,7 +52,7 @@ def test_a_graph_of_values_before_a_step_is_refused():
     parameter = nn.Parameter(torch.ones(3))
     loss = parameter.square().sum()
     parameter.grad = torch.ones(3)
-    Adam([([parameter], 0.1)]).step()
+    Adam([at_rate([parameter], 0.1)]).step()
     with pytest.raises(RuntimeError, match="modified by an inplace operation"):
         loss.backward()
 
@@ -55,7 +60,7 @@ def test_a_graph_of_values_before_a_step_is_refused():
 def test_a_gradient_that_is_not_a_number_shows():
     parameter = nn.Parameter(torch.ones(3))
     parameter.grad = torch.tensor([1.0, torch.nan, 1.0])
-    Adam([([parameter], 0.1)]).step()
+    Adam([at_rate([parameter], 0.1)]).step()
     assert parameter.isnan().tolist() == [False, True, False]
 
 

@@ -31,7 +31,7 @@ def value(config: object, path: str) -> object:
     [
         ("field.hidden_layers", 8),
         ("field.hidden_units", 256),
-        ("field.learning_rate", 1e-4),
+        ("field.rate", 1e-4),
         ("trainer.base_cells", 128),
         ("trainer.gradient_isolation", True),
         ("trainer.warm_start", False),

@@ -7,7 +7,7 @@ import pytest
 import torch
 from small_runs import TWO_STAGES, small_config, train
 
-from sculpt_framework.cli.train import parse
+from sculpt_framework.command_line.request import parse
 from sculpt_framework.config import MethodConfig
 from sculpt_framework.errors import ConfigError
 from sculpt_framework.evaluation.certificate import certify
@@ -118,7 +118,7 @@ def test_a_run_spares_cells_that_its_pixels_do_not_show(scene: Scene):
 def test_a_run_with_boxes_is_restored_as_it_was(scene: Scene):
     config = refined(scene, refine_box_levels=2)
     trainer = build_parts(config, scene.box, torch.Generator()).trainer
-    trainer.seeds = discover(lambda points: trainer.field(points).sdf, trainer.extractor.grid, 0)
+    trainer.seeds = discover(trainer.field, trainer.extractor.grid, 0)
     trainer.extract()
     for table in trainer.extractor.tables.values():
         for leaf in table.leaves.values():

@@ -11,7 +11,7 @@ import pytest
 import torch
 from small_runs import ONE_STAGE, finished, small_config
 
-from sculpt_framework.cli.train import read_request
+from sculpt_framework.command_line.request import read_request
 from sculpt_framework.config import MethodConfig
 from sculpt_framework.demo_scenes.distance import Points, Values, smooth_union, sphere
 from sculpt_framework.demo_scenes.folder import DemoSettings, write_scene
@@ -172,7 +172,7 @@ def test_fine_detail_in_the_box_comes_out(tmp_path: Path):
     settings = DemoSettings(train_views=20, test_views=1, resolution=96, reference_cells=128)
     write_scene(item, settings, tmp_path / "studs")
     config = small_config(
-        field=HashGridFieldConfig(num_levels=7, log2_table=14, finest_resolution=128, learning_rate=2e-3),
+        field=HashGridFieldConfig(num_levels=7, log2_table=14, finest_resolution=128, rate=2e-3),
         stages=(replace(ONE_STAGE[0], inner_steps=3, outer_views=3),),
         base_cells=24,
         steps=30,

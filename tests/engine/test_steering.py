@@ -247,7 +247,7 @@ def test_a_frozen_box_stays_and_the_rest_moves(scene: Scene, tmp_path: Path):
     passage = 2 * run.method.parts.grid.cell
     with torch.no_grad():
         points = trainer.extract().surface.vertices
-        held, kept, free = trainer.signed_distance(points), frozen.field(points).sdf, trainer.field(points).sdf
+        held, kept, free = trainer.signed_distance(points), frozen.field(points), trainer.field(points)
     depth = frozen.region.depth(points)
     deep, outside = depth > passage, depth < 0
     assert bool(deep.any())
@@ -340,7 +340,5 @@ def test_a_frozen_surface_outlives_a_resumed_run(scene: Scene, tmp_path: Path):
     steering.take_up([Recorded(outer=1, command=box)], outer=2)
     again = method_of(session).trainer.frozen[0]
     points = first.region.minimum + 0.5 * (first.region.maximum - first.region.minimum)
-    assert float(first.field(points[None]).sdf.detach()) == float(again.field(points[None]).sdf)
-    assert float(first.field(points[None]).sdf.detach()) != float(
-        method_of(session).trainer.field(points[None]).sdf.detach()
-    )
+    assert float(first.field(points[None]).detach()) == float(again.field(points[None]))
+    assert float(first.field(points[None]).detach()) != float(method_of(session).trainer.field(points[None]).detach())

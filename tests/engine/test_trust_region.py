@@ -116,7 +116,7 @@ def test_the_wall_of_the_grid_is_no_motion():
 
 def test_a_run_at_a_thousand_times_the_rate_stays_on_the_object(scene: Scene):
     """Its first step alone would move the surface by many cells."""
-    fast = replace(FIELDS["hash-grid"], learning_rate=2.0)
+    fast = replace(FIELDS["hash-grid"], rate=2.0)
     config = small_config(field=fast, steps=4, trust_cells=0.1)
     bounded = train(config, scene)
     shares = [event.data["step_kept"] for event in bounded.of("outer_step")]

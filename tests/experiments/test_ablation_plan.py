@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from sculpt_framework.cli.train import parse
+from sculpt_framework.command_line.request import parse
 from sculpt_framework.config import MethodConfig
 from sculpt_framework.errors import ConfigError
 from sculpt_framework.experiments.ablation import DEFAULT, FACTORS, Ablation, ablation

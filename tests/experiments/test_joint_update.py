@@ -45,7 +45,7 @@ def step(
     )
     parts = build_parts(config, scene.box, torch.Generator().manual_seed(0))
     trainer = parts.trainer
-    trainer.seeds = discover(lambda x: trainer.field(x).sdf, trainer.extractor.grid, 0)
+    trainer.seeds = discover(trainer.field, trainer.extractor.grid, 0)
     trainer.scene.blur = 0.01
     images = [prepare_image(view, scene.box, 0.5, parts.device) for view in scene.train]
     stage = config.trainer.stages[0]

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from sculpt_framework import registry
-from sculpt_framework.cli.train import read_request
+from sculpt_framework.command_line.request import read_request
 from sculpt_framework.config import MethodConfig
 from sculpt_framework.engine.run import run
 from sculpt_framework.engine.session import Session
@@ -59,8 +59,8 @@ def test_what_is_left_out_has_no_parameters(scene: Scene) -> None:
     full = build_parts(rich, scene.box, torch.Generator()).trainer
     planned, _ = plan_scene(with_options(config, "appearance", sh_degree=0), scene)
     lean = build_parts(planned, scene.box, torch.Generator()).trainer
-    assert full.scene.geometry_rows.learning_rates
-    assert lean.scene.geometry_rows.learning_rates == {}
+    assert full.scene.geometry_rows.rates
+    assert lean.scene.geometry_rows.rates == {}
     assert not lean.scene.learns_places
     assert lean.objectives.constraints == []
     means = torch.zeros(5, 1, 3)
@@ -75,7 +75,7 @@ def test_what_is_left_out_has_no_parameters(scene: Scene) -> None:
 
 def test_what_is_left_out_is_not_imported(scene_folder: Path) -> None:
     script = (
-        "import sys, torch\nfrom sculpt_framework.cli.train import parse\n"
+        "import sys, torch\nfrom sculpt_framework.command_line.request import parse\n"
         "from sculpt_framework.plan.make import plan_scene\n"
         "from sculpt_framework.sculpting.assembly import build_parts\n"
         f"config = parse(['gaussian-sculpting-tiny', '--data', {str(scene_folder)!r}, '--plan', sys.argv[1]])\n"

@@ -50,7 +50,7 @@ def test_a_rendering_lit_as_the_image_is_fits_it_in_front_of_any_background():
     assert plain.alpha is not None
     lit = replace(plain, premultiplied=plain.premultiplied * gain + offset * plain.alpha[..., None])
     term.begin([image("other"), lit])
-    [([light], _)] = term.parameter_groups()
+    (light,) = (parameter for group in term.parameter_groups() for parameter in group.parameters)
     assert light.shape == (2, 2, 3)
     with torch.no_grad():
         light[1, 0], light[1, 1] = gain - 1, offset
@@ -61,7 +61,7 @@ def test_a_rendering_lit_as_the_image_is_fits_it_in_front_of_any_background():
 def test_gradients_are_those_of_finite_differences():
     term, one = PhotometricConfig(light="per-image").build(), image()
     term.begin([one])
-    [([light], _)] = term.parameter_groups()
+    (light,) = (parameter for group in term.parameter_groups() for parameter in group.parameters)
     assert one.alpha is not None
     target = replace(one, premultiplied=one.premultiplied.double(), alpha=one.alpha.double()).over(
         torch.rand(3).double()

@@ -20,6 +20,7 @@ from sculpt_framework.errors import ConfigError
 from sculpt_framework.evaluation.geometry import MeasuredMesh
 from sculpt_framework.export.mesh_pixels import draw_mesh
 from sculpt_framework.losses import ImageLoss, Target, TrainingImage
+from sculpt_framework.parameters import ParameterGroup
 from sculpt_framework.sculpting.config import SculptingConfig, StageConfig
 from sculpt_framework.sculpting.images import prepare_images
 from sculpt_framework.stress.small import method_of, small_method, small_scene, truth_of
@@ -59,8 +60,8 @@ class Exposure(ImageLoss):
             self.numbers = {image.name: number for number, image in enumerate(images)}
             self.logs = nn.Parameter(torch.zeros(len(images)))
 
-    def parameter_groups(self) -> list[tuple[list[nn.Parameter], float]]:
-        return [([self.logs], self._rate)]
+    def parameter_groups(self) -> list[ParameterGroup]:
+        return [ParameterGroup(parameters=[self.logs], rate=self._rate)]
 
     def __call__(self, rendering: Rendering, target: Target) -> Tensor:
         assert target.alpha is not None
@@ -199,7 +200,7 @@ def test_depth_maps_alone_pull_a_ball_onto_the_object(named: Named, tmp_path: Pa
     losses = (PhotometricConfig(weight=0.0), EikonalConfig())
     base = small_method(40, holdout_every=0, losses=losses, initializer=SphereConfig(fill=0.4))
     stages = (replace(STAGE, inner_steps=0, outer_views=4),)
-    fast = replace(base.field, learning_rate=0.02)  # pyright: ignore[reportCallIssue]
+    fast = replace(base.field, rate=0.02)  # pyright: ignore[reportCallIssue]
     base = replace(base, field=fast, trainer=replace(base.trainer, stages=stages, polish_steps=0))
     write_depths(truth, scene, tmp_path)
     without = error_of(run(base, scene), truth)

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from sculpt_framework.cli import exit_codes
 from sculpt_framework.cli.evaluate import evaluate
 from sculpt_framework.cli.export import export
-from sculpt_framework.cli.train import read_request
+from sculpt_framework.command_line.request import read_request
 from sculpt_framework.errors import SculptError
 
 FILES = (

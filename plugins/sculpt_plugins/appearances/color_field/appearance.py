@@ -8,6 +8,7 @@ from torch import Tensor
 
 from sculpt_framework.appearances import Appearance
 from sculpt_framework.encodings.hash_grid import HashEncoding
+from sculpt_framework.parameters import ParameterGroup
 from sculpt_plugins.appearances.color_field.config import ColorFieldConfig
 
 
@@ -31,7 +32,7 @@ class ColorFieldAppearance(Appearance):
         )
 
     @property
-    def learning_rates(self) -> dict[str, float]:
+    def rates(self) -> dict[str, float]:
         return {"residual_dc": self._config.residual_rate, **self.band_rates(self._config.rest_rate)}
 
     @property
@@ -46,5 +47,5 @@ class ColorFieldAppearance(Appearance):
         encoded = self._encoding(points).reshape(*means.shape[:2], 4)
         return self.with_bands(encoded[..., :3] + rows["residual_dc"], rows)
 
-    def optimizer_groups(self) -> list[dict]:
-        return [{"params": list(self._encoding.parameters()), "lr": self._config.rate}]
+    def parameter_groups(self) -> list[ParameterGroup]:
+        return [ParameterGroup(parameters=list(self._encoding.parameters()), rate=self._config.rate)]

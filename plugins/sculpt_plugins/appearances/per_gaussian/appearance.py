@@ -7,6 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sculpt_framework.appearances import Appearance
+from sculpt_framework.parameters import ParameterGroup
 from sculpt_plugins.appearances.per_gaussian.config import PerGaussianConfig
 
 
@@ -18,7 +19,7 @@ class PerGaussianAppearance(Appearance):
         self._config = config
 
     @property
-    def learning_rates(self) -> dict[str, float]:
+    def rates(self) -> dict[str, float]:
         return {"sh_dc": self._config.rate, **self.band_rates(self._config.rest_rate)}
 
     @property
@@ -31,5 +32,5 @@ class PerGaussianAppearance(Appearance):
     def forward(self, means: Float[Tensor, "f k 3"], rows: Mapping[str, Tensor]) -> Float[Tensor, "f k b 3"]:
         return self.with_bands(rows["sh_dc"], rows)
 
-    def optimizer_groups(self) -> list[dict]:
+    def parameter_groups(self) -> list[ParameterGroup]:
         return []

@@ -1,7 +1,8 @@
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from sculpt_framework.config import AppearanceConfig
+from sculpt_framework.ranges import at_least, between
 
 if TYPE_CHECKING:
     import torch
@@ -13,12 +14,12 @@ if TYPE_CHECKING:
 class PerGaussianConfig(AppearanceConfig):
     """Spherical harmonics on every Gaussian, kept under its face's key (the paper's appearance)."""
 
-    sh_degree: int = 0
+    sh_degree: Annotated[int, between(0, 3)] = 0
     """Degree of the spherical harmonics, 0 to 3 (3DGS: 3); 0 means colour does not depend on the view."""
-    rate: float = 2.5e-3
-    """Adam's rate of band 0 (3DGS: 0.0025)."""
-    rest_rate: float = 1.25e-4
-    """Adam's rate of the higher bands (3DGS: 0.0025 / 20)."""
+    rate: Annotated[float, at_least(0)] = 2.5e-3
+    """Learning rate of band 0 (3DGS: 0.0025)."""
+    rest_rate: Annotated[float, at_least(0)] = 1.25e-4
+    """Learning rate of the higher bands (3DGS: 0.0025 / 20)."""
 
     def build(self, device: "torch.device") -> "PerGaussianAppearance":
         from sculpt_plugins.appearances.per_gaussian.appearance import PerGaussianAppearance

@@ -34,8 +34,6 @@ class FaceBarycentricBinder(Binder):
     """
 
     def __init__(self, config: FaceBarycentricConfig):
-        if not 0 < config.theta < 1:
-            raise ValueError(f"theta must lie between 0 and 1, not {config.theta}")
         self._config = config
         self._placement = placement(config.gaussians_per_face)
         self._latest: tuple[Surface, Relief] | None = None
@@ -46,7 +44,7 @@ class FaceBarycentricBinder(Binder):
         return self._config.gaussians_per_face
 
     @property
-    def learning_rates(self) -> dict[str, float]:
+    def rates(self) -> dict[str, float]:
         rates: dict[str, float] = {}
         if self._config.places == "learned":
             rates["log_ratios"] = self._config.scale_rate

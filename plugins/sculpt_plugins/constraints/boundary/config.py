@@ -1,7 +1,8 @@
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from sculpt_framework.config import ConstraintConfig
+from sculpt_framework.ranges import above
 
 if TYPE_CHECKING:
     from sculpt_plugins.constraints.boundary.constraint import Boundary
@@ -13,7 +14,7 @@ class BoundaryConfig(ConstraintConfig):
 
     weight: float = 0.01
     """Factor in the inner loss, the lambda_b of the paper."""
-    steepness: float = 10.0
+    steepness: Annotated[float, above(0)] = 10.0
     """Factor in the exponent (paper: 10)."""
 
     def build(self) -> "Boundary":

@@ -1,7 +1,8 @@
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from sculpt_framework.config import ConstraintConfig
+from sculpt_framework.ranges import between
 
 if TYPE_CHECKING:
     from sculpt_plugins.constraints.coverage.constraint import Coverage
@@ -13,7 +14,7 @@ class CoverageConfig(ConstraintConfig):
 
     weight: float = 0.01
     """Factor in the inner loss, the lambda_c of the paper."""
-    threshold: float = 0.8
+    threshold: Annotated[float, between(0, 1)] = 0.8
     """Range every barycentric coordinate should reach (paper: 0.8)."""
 
     def build(self) -> "Coverage":

@@ -1,7 +1,8 @@
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from sculpt_framework.config import ConstraintConfig
+from sculpt_framework.ranges import above
 
 if TYPE_CHECKING:
     from sculpt_plugins.constraints.mee_scale.constraint import MeeScale
@@ -15,7 +16,7 @@ class MeeScaleConfig(ConstraintConfig):
     """Factor in the inner loss."""
     form: Literal["steiner", "edges"] = "steiner"
     """The Steiner circumellipse, or the diagonal of half edges of the paper."""
-    limit: float = 1.0
+    limit: Annotated[float, above(0)] = 1.0
     """Largest allowed eigenvalue of the covariance relative to the ellipse (paper: 1)."""
 
     def build(self) -> "MeeScale":

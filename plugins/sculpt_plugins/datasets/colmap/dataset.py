@@ -12,7 +12,7 @@ from sculpt_framework.posed_images.clues import Clues
 from sculpt_framework.posed_images.folders import contents, scene_folder
 from sculpt_framework.posed_images.lens import Pinhole
 from sculpt_framework.posed_images.masks import find_masks
-from sculpt_framework.posed_images.photographs import check_options, hold_out, load_photographs
+from sculpt_framework.posed_images.photographs import hold_out, load_photographs
 from sculpt_framework.posed_images.views import PosedImage
 from sculpt_framework.types import Camera, Scene
 from sculpt_plugins.datasets.colmap import binary, text
@@ -27,8 +27,7 @@ class ColmapDataset(Dataset):
     """The world is the frame of the sparse model."""
 
     def __init__(self, config: ColmapConfig, data: str):
-        """Raises DataError where there is no such folder, ConfigError for options out of range."""
-        check_options(config)
+        """Raises DataError where there is no such folder."""
         self.config = config
         self.folder = scene_folder(data)
 

@@ -1,7 +1,8 @@
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from sculpt_framework.config import DatasetConfig
+from sculpt_framework.demo_scenes.limits import RESOLUTION, TEST_VIEWS, TRAIN_VIEWS
 
 if TYPE_CHECKING:
     from sculpt_plugins.datasets.demo.dataset import DemoDataset
@@ -11,11 +12,11 @@ if TYPE_CHECKING:
 class DemoConfig(DatasetConfig):
     """A built-in scene: --data demo, or demo:NAME; sculpt-data list has the names."""
 
-    resolution: int | None = None
+    resolution: Annotated[int | None, RESOLUTION] = None
     """Side of the square images, in pixels. Default: as the scene asks, mostly 400."""
-    train_views: int = 100
+    train_views: Annotated[int, TRAIN_VIEWS] = 100
     """Images to learn from."""
-    test_views: int = 20
+    test_views: Annotated[int, TEST_VIEWS] = 20
     """Images to measure on, from other places."""
     seen_from: Literal["around", "above", "front"] | None = None
     """Where cameras stand: on all sides, above the equator, or within 75 degrees of +x. Default: as the scene asks."""

@@ -16,7 +16,7 @@ from sculpt_plugins.datasets.demo.config import DemoConfig
 
 class DemoDataset(Dataset):
     def __init__(self, config: DemoConfig, data: str):
-        """Raises DataError if ``data`` is not a demo scene, ConfigError for options out of range."""
+        """Raises DataError if ``data`` is not a demo scene."""
         kind, _, name = data.partition(":")
         if kind != "demo":
             raise DataError(f"{data}: not a demo scene; expected demo or demo:NAME, or another --dataset for a folder.")

@@ -11,7 +11,7 @@ from sculpt_framework.errors import DataError
 from sculpt_framework.posed_images.clues import Clues
 from sculpt_framework.posed_images.folders import contents, scene_folder
 from sculpt_framework.posed_images.masks import EXTENSIONS, MASK_FOLDERS
-from sculpt_framework.posed_images.photographs import check_options, hold_out, load_photographs
+from sculpt_framework.posed_images.photographs import hold_out, load_photographs
 from sculpt_framework.posed_images.views import PosedImage
 from sculpt_framework.types import Camera, Scene
 from sculpt_plugins.datasets.idr.cameras import NAMES, PlacedCamera, ball_box, placed_camera, read_matrices
@@ -24,8 +24,7 @@ class IdrDataset(Dataset):
     """The world is the frame that ``world_mat`` maps from: not the unit ball, but where that ball is."""
 
     def __init__(self, config: IdrConfig, data: str):
-        """Raises DataError where there is no such folder, ConfigError for options out of range."""
-        check_options(config)
+        """Raises DataError where there is no such folder."""
         self.config = config
         self.folder = scene_folder(data)
 

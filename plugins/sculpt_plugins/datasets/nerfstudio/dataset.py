@@ -12,7 +12,7 @@ from sculpt_framework.errors import DataError
 from sculpt_framework.posed_images.clues import Clues
 from sculpt_framework.posed_images.folders import contents, scene_folder
 from sculpt_framework.posed_images.masks import find_masks
-from sculpt_framework.posed_images.photographs import check_options, hold_out, load_photographs
+from sculpt_framework.posed_images.photographs import hold_out, load_photographs
 from sculpt_framework.posed_images.reading import number, read_json
 from sculpt_framework.posed_images.transforms import Frame, posed_images, read_frames, rigid_matrix
 from sculpt_framework.types import Scene
@@ -25,8 +25,7 @@ class NerfstudioDataset(Dataset):
     """The world is the frame of the file's matrices; with ``original_frame`` the one before its applied_transform."""
 
     def __init__(self, config: NerfstudioConfig, data: str):
-        """Raises DataError where there is no such folder, ConfigError for options out of range."""
-        check_options(config)
+        """Raises DataError where there is no such folder."""
         self.config = config
         self.folder = scene_folder(data)
 

@@ -1,7 +1,7 @@
 """An object's folder, read whole."""
 
 from sculpt_framework.datasets import Dataset
-from sculpt_framework.errors import ConfigError, DataError
+from sculpt_framework.errors import DataError
 from sculpt_framework.posed_images.box import fit_box
 from sculpt_framework.posed_images.folders import contents, scene_folder
 from sculpt_framework.posed_images.transforms import posed_images, read_frames
@@ -17,10 +17,8 @@ class OmniObject3DDataset(Dataset):
     def __init__(self, config: OmniObject3DConfig, data: str):
         """``data`` is the object's folder or the folder ``render`` in it.
 
-        Raises DataError where there is no such folder, ConfigError for options out of range.
+        Raises DataError where there is no such folder.
         """
-        if config.test_every < 0 or config.test_every == 1:
-            raise ConfigError(f"--dataset.test-every is {config.test_every}; expected 0, or 2 or more.")
         folder = scene_folder(data)
         inside = folder.name == "render" and (folder / "transforms.json").is_file()
         self.config = config

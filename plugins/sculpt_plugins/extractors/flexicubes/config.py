@@ -1,9 +1,10 @@
 """Options of the ``flexicubes`` extractor."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from sculpt_framework.config import ExtractorConfig
+from sculpt_framework.ranges import at_least
 
 if TYPE_CHECKING:
     import torch
@@ -27,10 +28,10 @@ class FlexiCubesConfig(ExtractorConfig):
     """Lessen the gradient of crossings on edges that the surface grazes, in proportion to how much the distance changes
     along them, in cells. Such a crossing runs far along the surface for a small change of the distance, and would carry
     the noise of the images many times enlarged into the field."""
-    weight_rate: float = 3e-2
-    """Adam rate of raw alpha, beta and gamma; the factor in use is 1 + 0.99 tanh(raw)."""
-    deformation_rate: float = 1e-2
-    """Adam rate of raw delta; the shift in use is 0.49 tanh(raw) cells along each axis."""
+    weight_rate: Annotated[float, at_least(0)] = 3e-2
+    """Learning rate of raw alpha, beta and gamma; the factor in use is 1 + 0.99 tanh(raw)."""
+    deformation_rate: Annotated[float, at_least(0)] = 1e-2
+    """Learning rate of raw delta; the shift in use is 0.49 tanh(raw) cells along each axis."""
 
     def build(self, grid: "Grid", device: "torch.device") -> "FlexiCubes":
         import torch

@@ -1,7 +1,8 @@
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from sculpt_framework.config import FieldConfig
+from sculpt_framework.ranges import above, at_least
 
 if TYPE_CHECKING:
     import torch
@@ -13,14 +14,12 @@ if TYPE_CHECKING:
 class DenseGridFieldConfig(FieldConfig):
     """Signed distances stored on a dense grid: the discrete SDF of the paper's ablation."""
 
-    resolution: int = 96
+    resolution: Annotated[int, at_least(2)] = 96
     """Cells across [-1, 1]; memory grows with its cube."""
-    features: int = 0
-    """Length of the feature vector beside the distance."""
-    sphere_radius: float = 0.5
+    sphere_radius: Annotated[float, above(0)] = 0.5
     """Radius of the sphere the field starts as, in object units."""
-    learning_rate: float = 1e-3
-    """Adam's rate before the schedule, in object units per step."""
+    rate: Annotated[float, at_least(0)] = 1e-3
+    """Learning rate before the schedule, in object units per step."""
 
     def build(self, device: "torch.device") -> "DenseGridField":
         from sculpt_plugins.fields.dense_grid.field import DenseGridField

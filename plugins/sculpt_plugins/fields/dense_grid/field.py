@@ -5,8 +5,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from sculpt_framework.fields import Field, ParameterGroup
-from sculpt_framework.types import FieldSample
+from sculpt_framework.fields import Field
+from sculpt_framework.parameters import ParameterGroup
 from sculpt_plugins.fields.dense_grid.config import DenseGridFieldConfig
 
 
@@ -15,27 +15,27 @@ class DenseGridField(Field):
 
     def __init__(self, config: DenseGridFieldConfig):
         super().__init__()
-        if config.resolution < 2:
-            raise ValueError(f"dense grid needs at least 2 cells, not {config.resolution}")
         self._config = config
         axis = torch.linspace(-1.0, 1.0, config.resolution + 1)
         z, y, x = torch.meshgrid(axis, axis, axis, indexing="ij")
         values = (x * x + y * y + z * z).sqrt() - config.sphere_radius
-        channels = torch.cat([values[None], torch.zeros(config.features, *values.shape)])
-        self.values = nn.Parameter(channels[None])
+        self.values = nn.Parameter(values[None, None])
 
-    def forward(self, points: Float[Tensor, "n 3"]) -> FieldSample:
+    def forward(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
         inside = points.clamp(-1.0, 1.0)
         sampled = functional.grid_sample(
             self.values, inside[None, None, None], mode="bilinear", padding_mode="border", align_corners=True
-        )[0, :, 0, 0].T
+        )[0, 0, 0, 0]
         outside = points - inside
         # norm() has no gradient at 0, which is where all inner points are.
         beyond = torch.where(outside == 0, 0.0, outside.abs()).sum(dim=1)
-        return FieldSample(sdf=sampled[:, 0] + beyond, features=sampled[:, 1:])
+        return sampled + beyond
 
     def parameter_groups(self) -> list[ParameterGroup]:
-        return [ParameterGroup(parameters=[self.values], rate=self._config.learning_rate, fit_rate=0.03)]
+        return [ParameterGroup(parameters=[self.values], rate=self._config.rate)]
+
+    def fit_groups(self) -> list[ParameterGroup]:
+        return [ParameterGroup(parameters=[self.values], rate=0.03)]
 
     def set_detail(self, cell_size: float) -> None:
         """The grid's one resolution is always on."""

@@ -4,12 +4,13 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from sculpt_framework.encodings.hash_grid import HashEncoding
-from sculpt_framework.fields import Field, ParameterGroup
-from sculpt_framework.types import FieldSample
+from sculpt_framework.fields import Field
+from sculpt_framework.parameters import ParameterGroup
 from sculpt_plugins.fields.hash_grid.config import HashGridFieldConfig
 
 _FIT_RATE = 0.012
 """Of the coarsest level, in object units per step: the initial surface may be half a unit away."""
+_DECODER_FIT_RATE = 5e-3
 
 
 class HashGridField(Field):
@@ -19,14 +20,14 @@ class HashGridField(Field):
     added up. Each level is a parameter group of its own. Adam moves every table entry at about its group's rate,
     whatever the size of its gradient, so rates that fall with the cell size make coarse levels move the surface far
     and fine ones a little: a multigrid preconditioner, and the reason why the fine levels do not get noisy before the
-    coarse ones have settled. With ``hidden_units`` or ``features`` there are several numbers per corner, side by side,
-    and a decoder: linear, or of one softplus layer, that starts at about zero output.
+    coarse ones have settled. With ``hidden_units`` there are several numbers per corner, side by side, and a
+    decoder of one softplus layer that starts at about zero output.
     """
 
     def __init__(self, config: HashGridFieldConfig):
         super().__init__()
         self._config = config
-        decoded = config.hidden_units > 0 or config.features > 0
+        decoded = config.hidden_units > 0
         self._encoding = HashEncoding(
             levels=config.num_levels,
             # Without a decoder several numbers at a corner would have the same gradient and stay alike.
@@ -38,41 +39,40 @@ class HashGridField(Field):
             sum_levels=not decoded,
         )
         self._active_levels = config.num_levels
-        channels = config.num_levels * config.features_per_level
         self._decoder: nn.Module | None = None
         if decoded:
-            hidden = config.hidden_units or channels
-            first = nn.Sequential(nn.Linear(channels, hidden), nn.Softplus(beta=100.0)) if config.hidden_units else []
-            last = nn.Linear(hidden, 1 + config.features)
+            first = nn.Linear(config.num_levels * config.features_per_level, config.hidden_units)
+            last = nn.Linear(config.hidden_units, 1)
             nn.init.zeros_(last.bias)
             nn.init.normal_(last.weight, std=1e-3)
-            self._decoder = nn.Sequential(*first, last)
+            self._decoder = nn.Sequential(first, nn.Softplus(beta=100.0), last)
 
-    def forward(self, points: Float[Tensor, "n 3"]) -> FieldSample:
+    def forward(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
         encoded = self._encoding(points, active_levels=self._active_levels)
-        if self._decoder is None:
-            correction, features = encoded[:, 0], encoded[:, :0]
-        else:
-            decoded = self._decoder(encoded)
-            correction, features = decoded[:, 0], decoded[:, 1:]
+        correction = (encoded if self._decoder is None else self._decoder(encoded))[:, 0]
         # The distance to the centre has no gradient there; a hair of rounding off gives it one.
         distance = (points.square().sum(dim=1) + 1e-12).sqrt()
-        return FieldSample(sdf=distance - self._config.sphere_radius + correction, features=features)
+        return distance - self._config.sphere_radius + correction
 
     def parameter_groups(self) -> list[ParameterGroup]:
-        config, resolutions = self._config, self._encoding.resolutions
-        groups = []
-        for table, resolution in zip(self._encoding.tables, resolutions, strict=True):
-            finer = resolution / resolutions[0]
-            group = ParameterGroup(
-                parameters=[table],
-                rate=config.learning_rate * finer**-config.level_falloff,
-                fit_rate=_FIT_RATE / finer,
-            )
-            groups.append(group)
+        rate, falloff = self._config.rate, self._config.level_falloff
+        return self._groups([rate * finer**-falloff for finer in self._finer], self._config.decoder_rate)
+
+    def fit_groups(self) -> list[ParameterGroup]:
+        return self._groups([_FIT_RATE / finer for finer in self._finer], _DECODER_FIT_RATE)
+
+    @property
+    def _finer(self) -> list[float]:
+        """Cells of each level across one of the coarsest level."""
+        resolutions = self._encoding.resolutions
+        return [resolution / resolutions[0] for resolution in resolutions]
+
+    def _groups(self, rates: list[float], decoder_rate: float) -> list[ParameterGroup]:
+        """Every level with a rate of its own, and the decoder."""
+        levels = zip(self._encoding.tables, rates, strict=True)
+        groups = [ParameterGroup(parameters=[table], rate=rate) for table, rate in levels]
         if self._decoder is not None:
-            decoder = list(self._decoder.parameters())
-            groups.append(ParameterGroup(parameters=decoder, rate=config.decoder_rate, fit_rate=5e-3))
+            groups.append(ParameterGroup(parameters=list(self._decoder.parameters()), rate=decoder_rate))
         return groups
 
     def set_detail(self, cell_size: float) -> None:

@@ -8,8 +8,8 @@ from torch import Tensor, nn
 from torch.nn.utils.parametrizations import weight_norm
 
 from sculpt_framework.encodings.positional import positional_encoding
-from sculpt_framework.fields import Field, ParameterGroup
-from sculpt_framework.types import FieldSample
+from sculpt_framework.fields import Field
+from sculpt_framework.parameters import ParameterGroup
 from sculpt_plugins.fields.mlp.config import MlpFieldConfig
 
 
@@ -21,8 +21,6 @@ class MlpField(Field):
 
     def __init__(self, config: MlpFieldConfig):
         super().__init__()
-        if not 0 <= config.skip_layer < config.hidden_layers:
-            raise ValueError(f"skip_layer {config.skip_layer} is not one of the {config.hidden_layers} hidden layers")
         self._config = config
         encoded = 3 + 6 * config.frequencies
         layers: list[nn.Module] = []
@@ -35,23 +33,25 @@ class MlpField(Field):
             _initialise_hidden(layer, first=index == 0, after_skip=0 < config.skip_layer == index, encoded=encoded)
             layers.append(weight_norm(layer))
         self._hidden = nn.ModuleList(layers)
-        last = nn.Linear(config.hidden_units, 1 + config.features)
+        last = nn.Linear(config.hidden_units, 1)
         _initialise_last(last, config.sphere_radius)
         self._last = weight_norm(last)
         self._activation = nn.Softplus(beta=config.softplus_beta)
 
-    def forward(self, points: Float[Tensor, "n 3"]) -> FieldSample:
+    def forward(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
         encoded = positional_encoding(points, self._config.frequencies)
         hidden = encoded
         for index, layer in enumerate(self._hidden):
             if 0 < self._config.skip_layer == index:
                 hidden = torch.cat([hidden, encoded], dim=1) / math.sqrt(2.0)
             hidden = self._activation(layer(hidden))
-        out = self._last(hidden)
-        return FieldSample(sdf=out[:, 0], features=out[:, 1:])
+        return self._last(hidden)[:, 0]
 
     def parameter_groups(self) -> list[ParameterGroup]:
-        return [ParameterGroup(parameters=list(self.parameters()), rate=self._config.learning_rate, fit_rate=1e-3)]
+        return [ParameterGroup(parameters=list(self.parameters()), rate=self._config.rate)]
+
+    def fit_groups(self) -> list[ParameterGroup]:
+        return [ParameterGroup(parameters=list(self.parameters()), rate=1e-3)]
 
     def set_detail(self, cell_size: float) -> None:
         """An MLP has all its frequencies from the start: nothing to wake up."""
@@ -71,5 +71,4 @@ def _initialise_hidden(layer: nn.Linear, *, first: bool, after_skip: bool, encod
 @torch.no_grad()
 def _initialise_last(layer: nn.Linear, radius: float) -> None:
     layer.weight.normal_(math.sqrt(math.pi) / math.sqrt(layer.in_features), 1e-4)
-    layer.bias.zero_()
-    layer.bias[0] = -radius
+    layer.bias.fill_(-radius)

@@ -1,9 +1,10 @@
 """What the silhouettes and the agreement of colours say."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from sculpt_framework.config import InitializerConfig
+from sculpt_framework.ranges import at_least
 
 if TYPE_CHECKING:
     from sculpt_plugins.initializers.photo_hull.initializer import PhotoHull
@@ -13,27 +14,27 @@ if TYPE_CHECKING:
 class PhotoHullConfig(InitializerConfig):
     """The visual hull, carved where the colours of several views agree on a surface deeper inside."""
 
-    max_views: int = 100
+    max_views: Annotated[int, at_least(1)] = 100
     """Use at most so many views, spread evenly over the list."""
-    cells: int = 128
+    cells: Annotated[int, at_least(1)] = 128
     """Cells along the longest side of the object's box in which depths are joined."""
-    pixels: int = 96
+    pixels: Annotated[int, at_least(1)] = 96
     """Pixels along the longest side of the object in the images that are swept."""
-    refinements: int = 1
+    refinements: Annotated[int, at_least(0)] = 1
     """How many times depths are made more exact at twice the resolution."""
-    maps: int = 50
+    maps: Annotated[int, at_least(1)] = 50
     """Views that get a depth map, spread evenly."""
-    depths: int = 64
+    depths: Annotated[int, at_least(2)] = 64
     """Depths tried across the object, per pixel."""
-    neighbours: int = 8
+    neighbours: Annotated[int, at_least(1)] = 8
     """Views each view is compared with."""
-    best_of: int = 3
+    best_of: Annotated[int, at_least(1)] = 3
     """Of these, the best matching ones that count: the others may not see the point."""
-    ambiguity: float = 1.5
+    ambiguity: Annotated[float, at_least(1)] = 1.5
     """Take the nearest depth whose difference of colours is at most so many times the smallest. Larger: carve less."""
-    agreeing: int = 2
+    agreeing: Annotated[int, at_least(0)] = 2
     """Views that must have the same depth for it to be believed."""
-    margin: float = 0.7
+    margin: Annotated[float, at_least(0)] = 0.7
     """Leave alone what is less deep below the hull than this, in steps of depth: no depth is more exact."""
 
     def build(self) -> "PhotoHull":

@@ -1,7 +1,8 @@
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from sculpt_framework.config import InitializerConfig
+from sculpt_framework.ranges import above
 
 if TYPE_CHECKING:
     from sculpt_plugins.initializers.sphere.initializer import Sphere
@@ -11,7 +12,7 @@ if TYPE_CHECKING:
 class SphereConfig(InitializerConfig):
     """An ellipsoid in the object's box, shaped by silhouettes first (the paper's start)."""
 
-    fill: float = 0.7
+    fill: Annotated[float, above(0, below=1)] = 0.7
     """Its radii as a share of the box's half sides."""
 
     def build(self) -> "Sphere":

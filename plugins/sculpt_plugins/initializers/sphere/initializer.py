@@ -15,8 +15,6 @@ class Sphere(Initializer):
     """(|x / half sides| - fill) * the shortest half side: a sphere in a cubic box, never steeper than a distance."""
 
     def __init__(self, fill: float):
-        if not 0 < fill < 1:
-            raise ValueError(f"fill must lie between 0 and 1, not {fill}")
         self._fill = fill
 
     @property

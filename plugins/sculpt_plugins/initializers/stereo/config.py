@@ -1,9 +1,10 @@
 """What the silhouettes and depth maps of all views say."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from sculpt_framework.config import InitializerConfig
+from sculpt_framework.ranges import at_least
 
 if TYPE_CHECKING:
     from sculpt_plugins.initializers.stereo.initializer import Stereo
@@ -13,15 +14,15 @@ if TYPE_CHECKING:
 class StereoConfig(InitializerConfig):
     """Depth maps of all views by PatchMatch stereo, joined within the visual hull."""
 
-    max_views: int = 100
+    max_views: Annotated[int, at_least(1)] = 100
     """Use at most so many views, spread evenly over the list."""
-    cells: int = 128
+    cells: Annotated[int, at_least(1)] = 128
     """Cells along the longest side of the object's box in which depths are joined."""
-    pixels: int = 384
+    pixels: Annotated[int, at_least(1)] = 384
     """Pixels along the longest side of the object in the finest images that are compared."""
-    neighbours: int = 8
+    neighbours: Annotated[int, at_least(1)] = 8
     """Views each view is compared with."""
-    agreeing: int = 2
+    agreeing: Annotated[int, at_least(0)] = 2
     """Views that must have the same depth for it to be believed."""
 
     def build(self) -> "Stereo":

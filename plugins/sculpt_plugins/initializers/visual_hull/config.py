@@ -1,7 +1,8 @@
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from sculpt_framework.config import InitializerConfig
+from sculpt_framework.ranges import at_least
 
 if TYPE_CHECKING:
     from sculpt_plugins.initializers.visual_hull.initializer import VisualHull
@@ -11,9 +12,9 @@ if TYPE_CHECKING:
 class VisualHullConfig(InitializerConfig):
     """What all masks allow: the largest body with these silhouettes, its far side closed where no view shows it."""
 
-    max_views: int = 100
+    max_views: Annotated[int, at_least(1)] = 100
     """Use at most so many views, spread evenly over the list."""
-    cells: int = 128
+    cells: Annotated[int, at_least(0)] = 128
     """Cells along the longest side in which the far side is closed; 0 leaves it the cone that lines of sight make."""
 
     def build(self) -> "VisualHull":

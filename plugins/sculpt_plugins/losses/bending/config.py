@@ -1,7 +1,8 @@
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from sculpt_framework.config import LossConfig
+from sculpt_framework.ranges import above
 
 if TYPE_CHECKING:
     from sculpt_plugins.losses.bending.loss import Bending
@@ -13,7 +14,7 @@ class BendingConfig(LossConfig):
 
     weight: float = 0.2
     """Factor in the outer loss."""
-    crease: float = 30.0
+    crease: Annotated[float, above(0, at_most=180)] = 30.0
     """Degrees between two normals at which half of what an edge can cost is reached."""
 
     def build(self) -> "Bending":

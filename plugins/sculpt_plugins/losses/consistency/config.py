@@ -1,7 +1,8 @@
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from sculpt_framework.config import LossConfig
+from sculpt_framework.ranges import at_least
 
 if TYPE_CHECKING:
     from sculpt_plugins.losses.consistency.loss import Consistency
@@ -13,11 +14,11 @@ class ConsistencyConfig(LossConfig):
 
     weight: float = 1.0
     """Factor in the outer loss."""
-    views: int = 4
+    views: Annotated[int, at_least(1)] = 4
     """Photographs looked at in an outer step."""
-    partners: int = 2
+    partners: Annotated[int, at_least(1)] = 2
     """Neighbours each of them is compared with."""
-    window: int = 7
+    window: Annotated[int, at_least(1)] = 7
     """Pixels along the sides of the windows that are correlated."""
 
     def build(self) -> "Consistency":

@@ -1,7 +1,8 @@
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from sculpt_framework.config import LossConfig
+from sculpt_framework.ranges import at_least, between
 
 if TYPE_CHECKING:
     from sculpt_plugins.losses.photometric.loss import Photometric
@@ -13,14 +14,14 @@ class PhotometricConfig(LossConfig):
 
     weight: float = 1.0
     """Factor in the outer loss."""
-    dssim: float = 0.2
+    dssim: Annotated[float, between(0, 1)] = 0.2
     """lambda, the share of D-SSIM (3DGS: 0.2)."""
     light: Literal["one", "per-image"] = "one"
     """per-image: colours are compared after a gain and an offset per image and channel, which are learned: exposure and
     white balance."""
-    light_rate: float = 0.005
+    light_rate: Annotated[float, at_least(0)] = 0.005
     """Learning rate of these."""
-    light_prior: float = 0.01
+    light_prior: Annotated[float, at_least(0)] = 0.01
     """Weight of their mean square: what draws them to gain 1 and offset 0."""
 
     def build(self) -> "Photometric":

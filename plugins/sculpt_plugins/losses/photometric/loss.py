@@ -6,7 +6,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from sculpt_framework.losses import ImageLoss, Target, TermParameters, TrainingImage
+from sculpt_framework.losses import ImageLoss, Target, TrainingImage
+from sculpt_framework.parameters import ParameterGroup
 from sculpt_framework.rendering.photometric import l1_dssim
 from sculpt_framework.types import Rendering
 from sculpt_plugins.losses.photometric.config import PhotometricConfig
@@ -30,8 +31,8 @@ class Photometric(ImageLoss):
         self._numbers = {image.name: number for number, image in enumerate(images)}
         self._light = nn.Parameter(torch.zeros(len(images), 2, 3, device=images[0].premultiplied.device))
 
-    def parameter_groups(self) -> TermParameters:
-        return () if self._light is None else [([self._light], self._config.light_rate)]
+    def parameter_groups(self) -> Sequence[ParameterGroup]:
+        return () if self._light is None else [ParameterGroup(parameters=[self._light], rate=self._config.light_rate)]
 
     def __call__(self, rendering: Rendering, target: Target) -> Float[Tensor, ""]:
         if self._light is None:

@@ -1,7 +1,8 @@
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from sculpt_framework.config import LossConfig
+from sculpt_framework.ranges import above
 
 if TYPE_CHECKING:
     from sculpt_plugins.losses.sign_change.loss import SignChange
@@ -13,7 +14,7 @@ class SignChangeConfig(LossConfig):
 
     weight: float = 0.01
     """Factor in the outer loss."""
-    sharpness: float = 20.0
+    sharpness: Annotated[float, above(0)] = 20.0
     """Logits per object unit of distance."""
 
     def build(self) -> "SignChange":

@@ -1,7 +1,8 @@
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from sculpt_framework.config import LossConfig
+from sculpt_framework.ranges import above
 
 if TYPE_CHECKING:
     from sculpt_plugins.losses.silhouette.loss import Silhouette
@@ -13,7 +14,7 @@ class SilhouetteConfig(LossConfig):
 
     weight: float = 1.0
     """Factor in the outer loss."""
-    power: float = 1.0
+    power: Annotated[float, above(0)] = 1.0
     """1: mean absolute difference, 2: mean squared difference."""
 
     def build(self) -> "Silhouette":

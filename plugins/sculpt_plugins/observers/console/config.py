@@ -1,8 +1,9 @@
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from sculpt_framework.config import ObserverConfig
+from sculpt_framework.ranges import at_least
 
 if TYPE_CHECKING:
     from sculpt_plugins.observers.console.observer import ConsoleObserver
@@ -12,9 +13,9 @@ if TYPE_CHECKING:
 class ConsoleConfig(ObserverConfig):
     """Tells what happens: a live display where the output is a terminal, plain lines where it is not."""
 
-    line_seconds: float = 10.0
+    line_seconds: Annotated[float, at_least(0)] = 10.0
     """Wall seconds between lines of progress where the output is not a terminal."""
-    live_seconds: float = 0.25
+    live_seconds: Annotated[float, at_least(0)] = 0.25
     """Wall seconds between redraws of the live display."""
 
     def build(self, run_dir: Path) -> "ConsoleObserver":

@@ -1,8 +1,9 @@
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from sculpt_framework.config import ObserverConfig
+from sculpt_framework.ranges import at_least
 
 if TYPE_CHECKING:
     from sculpt_plugins.observers.recorder.observer import RecorderObserver
@@ -12,7 +13,7 @@ if TYPE_CHECKING:
 class RecorderConfig(ObserverConfig):
     """Keeps events, the error-against-time curve and the final measures in the run directory."""
 
-    step_seconds: float = 1.0
+    step_seconds: Annotated[float, at_least(0)] = 1.0
     """Wall seconds between recorded outer steps; 0 records every one. All other events are always recorded."""
 
     def build(self, run_dir: Path) -> "RecorderObserver":

@@ -1,8 +1,9 @@
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from sculpt_framework.config import ObserverConfig
+from sculpt_framework.ranges import at_least, between
 
 if TYPE_CHECKING:
     from sculpt_plugins.observers.viser.observer import ViserObserver
@@ -14,12 +15,12 @@ class ViserConfig(ObserverConfig):
 
     host: str = "127.0.0.1"
     """Address to listen on: one of this machine's own. Other machines come through an SSH tunnel."""
-    port: int = 7007
+    port: Annotated[int, between(1, 65_535)] = 7007
     """Port to listen on."""
-    seconds: float = 2.0
+    seconds: Annotated[float, at_least(0)] = 2.0
     """Least seconds between two updates of the scene, while a browser looks."""
 
-    def check(self) -> None:
+    def check_start(self) -> None:
         """Raise ConfigError if the page cannot be offered at ``host`` and ``port``."""
         from sculpt_framework.viewing.address import check_address
 

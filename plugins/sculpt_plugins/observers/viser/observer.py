@@ -46,7 +46,7 @@ class ViserObserver(SteeringObserver):
     """Starts the viewer's process. Raises ConfigError if the page cannot be offered where it is asked for."""
 
     def __init__(self, config: ViserConfig, run_dir: Path):
-        config.check()
+        config.check_start()
         _require_recorder(run_dir)
         self._config = config
         self._run_dir = run_dir

@@ -1,7 +1,8 @@
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from sculpt_framework.config import RasterizerConfig
+from sculpt_framework.ranges import at_least
 
 if TYPE_CHECKING:
     import torch
@@ -13,7 +14,7 @@ if TYPE_CHECKING:
 class ReferenceRasterizerConfig(RasterizerConfig):
     """Every pixel against every Gaussian in plain torch: any device and precision, exact, slow."""
 
-    pairs_at_once: int = 2**22
+    pairs_at_once: Annotated[int, at_least(1)] = 2**22
     """Pixel-Gaussian pairs held in memory at a time; images that need more are rendered in pieces."""
 
     def build(self, device: "torch.device") -> "ReferenceRasterizer":

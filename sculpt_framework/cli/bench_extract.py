@@ -213,7 +213,7 @@ def _extractor(way: Way, resolution: int, device: "torch.device") -> "Extractor"
     if coarser > 0:
         assert isinstance(extractor, RefiningExtractor)  # noqa: S101 - flexicubes is one
         low = 0.0 if way == "flexicubes-half" else -2.0
-        extractor.set_boxes([RefineBox(minimum=(low, -2.0, -2.0), maximum=(2.0, 2.0, 2.0), levels=coarser)])
+        extractor.cells.set_boxes([RefineBox(minimum=(low, -2.0, -2.0), maximum=(2.0, 2.0, 2.0), levels=coarser)])
     return extractor
 
 

@@ -94,9 +94,9 @@ def build_extractor(config: SculptingConfig, box: Box, grid: Grid, device: torch
         wanted_levels(grid.at_level(max(stage.level for stage in stages)), boxes)
     except ValueError as error:
         raise ConfigError(f"--refine-box-levels {config.refine_box_levels} is too many here: {error}") from error
-    extractor.set_boxes(boxes)
+    extractor.cells.set_boxes(boxes)
     if config.repair is not None:
-        extractor.hold_outside(boxes)
+        extractor.cells.hold_outside(boxes)
     return extractor
 
 
@@ -106,7 +106,7 @@ def take_images(trainer: BiLevelTrainer, config: TrainerConfig, images: Sequence
     extractor = trainer.extractor
     if config.cell_pixels is not None and isinstance(extractor, RefiningExtractor):
         worth = level_map(extractor.grid, [image.camera for image in images], config.cell_pixels)
-        extractor.set_worth(LevelMap(levels=worth.levels.to(images[0].premultiplied.device)))
+        extractor.cells.set_worth(LevelMap(levels=worth.levels.to(images[0].premultiplied.device)))
 
 
 def refine_boxes(config: SculptingConfig, box: Box) -> list[RefineBox]:
@@ -136,7 +136,7 @@ def refine_in(parts: Parts, boxes: Sequence[RefineBox], finest: int) -> Parts:
     if not isinstance(extractor, RefiningExtractor):
         raise ValueError("this extractor has cells of one size only")
     wanted_levels(parts.grid.at_level(finest), boxes)
-    extractor.set_boxes(boxes)
+    extractor.cells.set_boxes(boxes)
     refined = replace(parts, refinement=1 << max((box.levels for box in boxes), default=0))
     parts.trainer.field.set_detail(refined.detail)
     fit_seeds(refined)

@@ -42,7 +42,7 @@ def unit_grid(cells: int = 12, level: int = 0) -> Grid:
 def refining(config: ExtractorConfig, grid: Grid) -> RefiningExtractor:
     extractor = config.build(grid, CPU)
     assert isinstance(extractor, RefiningExtractor)
-    extractor.set_boxes(BOXES)
+    extractor.cells.set_boxes(BOXES)
     return extractor
 
 
@@ -101,7 +101,7 @@ def test_surface_that_moved_out_of_its_cells_is_found_again():
     box = RefineBox(minimum=(0.1, -0.4, -0.4), maximum=(0.9, 0.4, 0.4), levels=3)
     extractor = CONFIGS["diagonal"].build(grid, CPU)
     assert isinstance(extractor, RefiningExtractor)
-    extractor.set_boxes([box])
+    extractor.cells.set_boxes([box])
     # A ball of its own, all within the box, grows by more than two of its cells.
     before, after = sphere_sdf(0.2, (0.45, 0.0, 0.0)), sphere_sdf(0.26, (0.45, 0.0, 0.0))
     cells = extractor.extract(before, discover(before, grid, 0)).cells
@@ -160,11 +160,11 @@ def test_boxes_finer_than_there_are_coordinates_are_refused():
     grid = unit_grid()
     deep = RefineBox(minimum=(0.0, 0.0, 0.0), maximum=(0.1, 0.1, 0.1), levels=vertex_level(grid) - 1)
     extractor = CONFIGS["diagonal"].build(grid.at_level(1), CPU)
-    extractor.set_boxes([deep])
+    extractor.cells.set_boxes([deep])
     with pytest.raises(ValueError, match="the finest level"):
         extractor.set_grid(grid.at_level(2))
     with pytest.raises(ValueError, match="the finest level"):
-        CONFIGS["diagonal"].build(grid.at_level(2), CPU).set_boxes([deep])
+        CONFIGS["diagonal"].build(grid.at_level(2), CPU).cells.set_boxes([deep])
 
 
 def test_a_finer_grid_refines_in_the_boxes_too():
@@ -237,7 +237,7 @@ def test_weights_pass_on_when_boxes_come_and_go():
         table.zero_grad()
     before = table.state()
     assert float(before["first.alpha"].abs().max()) > 0
-    extractor.set_boxes(BOXES)
+    extractor.cells.set_boxes(BOXES)
     refined = extractor.extract(sdf, cells)
     split = table.state()
     assert bool((levels_of(refined.cells) == 2).any())
@@ -248,7 +248,7 @@ def test_weights_pass_on_when_boxes_come_and_go():
     assert float(there.float().mean()) > 0.95
     for name in ("value.alpha", "first.beta", "second.beta", "value.gamma", "steps"):
         assert torch.equal(split[name][there], before[name][row[there]])
-    extractor.set_boxes(())
+    extractor.cells.set_boxes(())
     merged = extractor.extract(sdf, refined.cells[levels_of(refined.cells) == 0])
     assert torch.equal(merged.cells, cells)
     after = table.state()
@@ -261,7 +261,7 @@ def test_gradient_of_the_tables_through_extraction_with_boxes(name: str):
     grid = unit_grid(7)
     config = FlexiCubesConfig(split="center", learn_deformation=True)
     extractor = FlexiCubes(config, grid, CPU, torch.float64)
-    extractor.set_boxes(BOXES)
+    extractor.cells.set_boxes(BOXES)
     sdf = box_sdf((0.52, 0.61, 0.43))
     seeds = extractor.extract(sdf, discover(sdf, grid, 0)).cells
     random = torch.Generator().manual_seed(11)
@@ -330,7 +330,7 @@ def test_cuda_gives_the_same_surface(config: ExtractorConfig):
     device = torch.device("cuda")
     extractor = config.build(grid, device)
     assert isinstance(extractor, RefiningExtractor)
-    extractor.set_boxes(BOXES)
+    extractor.cells.set_boxes(BOXES)
     there = extractor.extract(sdf, discover(sdf, grid, 0, device=device)).surface
     assert torch.equal(there.face_keys.cpu(), here.face_keys)
     assert torch.equal(there.faces.cpu(), here.faces)

@@ -53,7 +53,7 @@ def learned(
     """An extractor with rows that are not neutral, seeds, and the surface it makes from them."""
     extractor = config.build(grid, CPU)
     assert isinstance(extractor, RefiningExtractor)
-    extractor.set_boxes(boxes)
+    extractor.cells.set_boxes(boxes)
     seeds = extractor.extract(before, discover(before, grid, 0)).cells
     extractor.extract(before, seeds)
     shake(extractor, seed=1)
@@ -97,8 +97,8 @@ def far_vertices(extraction: Extraction, boxes: Sequence[RefineBox], rings: int)
 def test_outside_nothing_moves_but_one_ring(name: str, earlier: Sequence[RefineBox], boxes: Sequence[RefineBox]):
     config, grid = CONFIGS[name], unit_grid()
     extractor, seeds, whole = learned(config, grid, earlier)
-    extractor.hold_outside(boxes, (before, seeds))
-    extractor.set_boxes((*earlier, *boxes))
+    extractor.cells.hold_outside(boxes, extractor.surface_to_hold(before, seeds))
+    extractor.cells.set_boxes((*earlier, *boxes))
     # Each level after the first is led up to by a ring of cells of the size between.
     rings = max(box.levels for box in boxes)
     # Corners may be shifted by half a cell, so a vertex may be that far from the cell it belongs to.
@@ -123,14 +123,14 @@ def free_cells(grid: Grid, boxes: Sequence[RefineBox], found: Extraction) -> Ten
 def test_what_is_held_passes_to_another_extractor_by_its_tables(config: ExtractorConfig):
     grid = unit_grid()
     extractor, seeds, whole = learned(config, grid, ())
-    extractor.hold_outside([BOX], (before, seeds))
-    extractor.set_boxes([BOX])
+    extractor.cells.hold_outside([BOX], extractor.surface_to_hold(before, seeds))
+    extractor.cells.set_boxes([BOX])
     extractor.extract(after, whole.cells)
     here = extractor.extract(after, whole.cells)
     other = config.build(grid, CPU)
     assert isinstance(other, RefiningExtractor)
-    other.set_boxes([BOX])
-    other.hold_outside([BOX])
+    other.cells.set_boxes([BOX])
+    other.cells.hold_outside([BOX])
     for name, table in other.tables.items():
         table.load_state(extractor.tables[name].state())
     there = other.extract(after, whole.cells)
@@ -143,8 +143,8 @@ def test_what_is_held_passes_to_another_extractor_by_its_tables(config: Extracto
 def test_gradient_reaches_the_field_in_the_boxes_only():
     grid = unit_grid()
     extractor, seeds, whole = learned(CONFIGS["diagonal"], grid, ())
-    extractor.hold_outside([BOX], (before, seeds))
-    extractor.set_boxes([BOX])
+    extractor.cells.hold_outside([BOX], extractor.surface_to_hold(before, seeds))
+    extractor.cells.set_boxes([BOX])
     asked: list[Tensor] = []
 
     def sdf(points: Tensor) -> Tensor:
@@ -169,8 +169,8 @@ def test_the_surface_cannot_leave_the_boxes(value: float):
     extractor = CONFIGS["diagonal"].build(grid, CPU)
     assert isinstance(extractor, RefiningExtractor)
     box = replace(BOX, minimum=(0.3, -0.9, -0.9), maximum=(0.9, 0.9, 0.9))
-    extractor.hold_outside([box], (sdf, discover(sdf, grid, 0)))
-    extractor.set_boxes([box])
+    extractor.cells.hold_outside([box], extractor.surface_to_hold(sdf, discover(sdf, grid, 0)))
+    extractor.cells.set_boxes([box])
     found = extractor.extract(lambda points: torch.full_like(points[:, 0], value), discover(sdf, grid, 0))
     check_extraction(found)
     assert euler_characteristic(found.surface.faces) == 2
@@ -182,12 +182,12 @@ def test_a_box_that_holds_all_of_the_surface_holds_nothing():
     grid = unit_grid()
     extractor, seeds, whole = learned(CONFIGS["diagonal"], grid, ())
     box = RefineBox(minimum=(-1.0, -1.0, -1.0), maximum=(1.0, 1.0, 1.0), levels=1)
-    extractor.hold_outside([box], (before, seeds))
-    extractor.set_boxes([box])
+    extractor.cells.hold_outside([box], extractor.surface_to_hold(before, seeds))
+    extractor.cells.set_boxes([box])
     held = extractor.extract(after, whole.cells)
     free = CONFIGS["diagonal"].build(grid, CPU)
     assert isinstance(free, RefiningExtractor)
-    free.set_boxes([box])
+    free.cells.set_boxes([box])
     for name, table in free.tables.items():
         table.load_state(extractor.tables[name].state())
     assert torch.equal(free.extract(after, whole.cells).surface.face_keys, held.surface.face_keys)

@@ -40,7 +40,7 @@ def falling(grid: Grid) -> LevelMap:
 def sparing(config: ExtractorConfig, grid: Grid) -> RefiningExtractor:
     extractor = config.build(grid, CPU)
     assert isinstance(extractor, RefiningExtractor)
-    extractor.set_worth(falling(grid))
+    extractor.cells.set_worth(falling(grid))
     return extractor
 
 
@@ -71,11 +71,11 @@ def test_where_all_is_worth_while_nothing_changes(name: str):
     plain = CONFIGS[name].build(grid, CPU).extract(TORUS, seeds).surface
     extractor = CONFIGS[name].build(grid, CPU)
     assert isinstance(extractor, RefiningExtractor)
-    extractor.set_worth(LevelMap(levels=torch.full(grid.base_shape, 7)))
+    extractor.cells.set_worth(LevelMap(levels=torch.full(grid.base_shape, 7)))
     same = extractor.extract(TORUS, seeds).surface
     assert torch.equal(torch.unique(same.vertices, dim=0), torch.unique(plain.vertices, dim=0))
     assert torch.equal(same.face_keys.sort().values, plain.face_keys.sort().values)
-    extractor.set_worth(None)
+    extractor.cells.set_worth(None)
     assert torch.equal(extractor.extract(TORUS, seeds).surface.vertices, plain.vertices)
 
 
@@ -87,8 +87,8 @@ def test_stages_boxes_and_holding_go_together_with_it(config: ExtractorConfig):
     seeds = extractor.extract(TORUS, cells_at_level(cells, 1)).cells
     whole = extractor.extract(TORUS, seeds)
     assert levels_of(whole.cells).unique().tolist() == [0, 1, 2]
-    extractor.hold_outside([BOX], (TORUS, seeds))
-    extractor.set_boxes([BOX])
+    extractor.cells.hold_outside([BOX], extractor.surface_to_hold(TORUS, seeds))
+    extractor.cells.set_boxes([BOX])
 
     def swollen(points: Tensor) -> Tensor:
         return TORUS(points) - 0.02

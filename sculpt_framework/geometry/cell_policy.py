@@ -6,12 +6,13 @@ from jaxtyping import Float, Int64
 from torch import Tensor
 
 from sculpt_framework.geometry.band import Band, CornerSampler, track
-from sculpt_framework.geometry.grid import Grid, RefineBox
+from sculpt_framework.geometry.grid import Grid
 from sculpt_framework.geometry.octree_band import OctreeBand, grow_octree
 from sculpt_framework.geometry.octree_hold import HeldSurface, Hold
-from sculpt_framework.geometry.octree_policy import LevelMap, coarsen, roots_under, wanted_levels
+from sculpt_framework.geometry.octree_policy import LevelMap, RefineBox, coarsen, roots_under, wanted_levels
 from sculpt_framework.geometry.signed_distance import SdfFunction
 from sculpt_framework.keyed import KeyedTable
+from sculpt_framework.types import Box
 
 
 class CellPolicy:
@@ -63,7 +64,7 @@ class CellPolicy:
         """
         self._worth = worth
 
-    def hold_outside(self, boxes: Sequence[RefineBox], surface: HeldSurface | None = None) -> None:
+    def hold_outside(self, boxes: Sequence[Box], surface: HeldSurface | None = None) -> None:
         """Keep this surface outside these boxes (object frame) to the bit, whatever the sdf becomes.
 
         It is what the extractor makes now, so before ``set_boxes`` adds boxes to refine in, and is kept on ``tables``;

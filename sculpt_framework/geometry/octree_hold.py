@@ -18,12 +18,13 @@ from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
 from sculpt_framework.geometry.band import CornerSampler, corner_offsets, levels_of
-from sculpt_framework.geometry.grid import Grid, RefineBox, pack, unpack_ijk
+from sculpt_framework.geometry.grid import Grid, pack, unpack_ijk
 from sculpt_framework.geometry.keys import find
 from sculpt_framework.geometry.octree import WantedLevels, key_steps, vertex_ijk, vertex_level
 from sculpt_framework.geometry.octree_policy import coarsen, reached_along
 from sculpt_framework.geometry.signed_distance import SdfFunction
 from sculpt_framework.keyed import KeyedTable
+from sculpt_framework.types import Box
 
 CORNERS, CELLS = "held_corners", "held_cells"
 """Names of the tables."""
@@ -49,7 +50,7 @@ class HeldSurface:
 class Hold:
     """Holds a surface outside boxes. What is held are rows of tables that never learn, so it is saved like all rows."""
 
-    def __init__(self, grid: Grid, boxes: Sequence[RefineBox], weight_names: Sequence[str] = ()):
+    def __init__(self, grid: Grid, boxes: Sequence[Box], weight_names: Sequence[str] = ()):
         """Holds nothing yet: ``fill`` it, or load the tables. ``grid`` is that of the roots, and stays."""
         self.grid = grid
         self._finest = grid.at_level(vertex_level(grid))

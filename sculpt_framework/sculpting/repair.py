@@ -52,7 +52,7 @@ def start_of_repair(config: SculptingConfig, repaired: Path, scene: Scene) -> Sa
     with torch.no_grad(), undisturbed(trainer):
         mesh, _ = world_mesh(trainer.extract().surface.detach(), scene.box)
     surface = trainer.extractor.surface_to_hold(trainer.signed_distance, trainer.seeds)
-    trainer.extractor.cells.hold_outside(boxes, surface)
+    trainer.extractor.cells.hold_outside([each.box for each in boxes], surface)
     state = capture(trainer, 0, torch.Generator().manual_seed(config.seed))
     moved = _moved(repaired / "mesh.ply", mesh.vertices)
     if moved > 0:

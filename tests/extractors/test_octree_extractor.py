@@ -9,14 +9,15 @@ from torch import Tensor
 from sculpt_framework.config import ExtractorConfig
 from sculpt_framework.extractors import RefiningExtractor
 from sculpt_framework.geometry.band import cells_at_level, discover, levels_of, parents
-from sculpt_framework.geometry.grid import Grid, RefineBox, grid_over_box, pack, unpack_ijk
+from sculpt_framework.geometry.grid import Grid, grid_over_box, pack, unpack_ijk
 from sculpt_framework.geometry.keys import find
 from sculpt_framework.geometry.octree import heirs, vertex_level
-from sculpt_framework.geometry.octree_policy import wanted_levels
+from sculpt_framework.geometry.octree_policy import RefineBox, wanted_levels
 from sculpt_framework.geometry.signed_distance import EmptySurfaceError, SdfFunction
 from sculpt_framework.geometry.topology import components, euler_characteristic, signed_volume
 from sculpt_framework.keyed import KeyedTable
 from sculpt_framework.testing import box_sdf, check_extraction, kept_faces, sphere_sdf, torus_sdf
+from sculpt_framework.types import Box
 from sculpt_plugins.extractors.flexicubes.config import FlexiCubesConfig
 from sculpt_plugins.extractors.flexicubes.extractor import FlexiCubes
 from sculpt_plugins.extractors.marching_tetrahedra.config import MarchingTetrahedraConfig
@@ -24,8 +25,8 @@ from sculpt_plugins.losses.eikonal.loss import Eikonal
 
 CPU = torch.device("cpu")
 BOXES = (
-    RefineBox(minimum=(0.2, -0.3, -0.3), maximum=(0.9, 0.3, 0.3), levels=2),
-    RefineBox(minimum=(-0.9, 0.1, -0.9), maximum=(-0.2, 0.7, 0.9), levels=1),
+    RefineBox(box=Box.between((0.2, -0.3, -0.3), (0.9, 0.3, 0.3)), levels=2),
+    RefineBox(box=Box.between((-0.9, 0.1, -0.9), (-0.2, 0.7, 0.9)), levels=1),
 )
 CONFIGS = {
     "diagonal": FlexiCubesConfig(learn_weights=False),
@@ -98,7 +99,7 @@ def test_extremes_with_boxes(config: ExtractorConfig):
 
 def test_surface_that_moved_out_of_its_cells_is_found_again():
     grid = unit_grid(10)
-    box = RefineBox(minimum=(0.1, -0.4, -0.4), maximum=(0.9, 0.4, 0.4), levels=3)
+    box = RefineBox(box=Box.between((0.1, -0.4, -0.4), (0.9, 0.4, 0.4)), levels=3)
     extractor = CONFIGS["diagonal"].build(grid, CPU)
     assert isinstance(extractor, RefiningExtractor)
     extractor.cells.set_boxes([box])
@@ -128,11 +129,11 @@ def test_outside_the_boxes_the_surface_is_the_plain_one(name: str):
     kept, new = kept_faces(plain, refined)
     place = plain.vertices[plain.faces]
     reach = torch.zeros(len(place), dtype=torch.bool)
-    for box in BOXES:
+    for each in BOXES:
         # The cells a box reaches into, a ring for each level but the first for the sake of balance, one where a
         # crossing is hidden, and one of cells that touch finer ones.
-        slack = (box.levels + 2) * grid.cell
-        near = (place > torch.tensor(box.minimum) - slack) & (place < torch.tensor(box.maximum) + slack)
+        slack = (each.levels + 2) * grid.cell
+        near = (place > each.box.minimum - slack) & (place < each.box.maximum + slack)
         reach |= near.all(dim=2).any(dim=1)
     assert 0.1 < float(reach.float().mean()) < 0.9
     unchanged = torch.zeros(len(place), dtype=torch.bool)
@@ -150,7 +151,7 @@ def test_refining_brings_the_surface_closer_in_the_boxes():
         middle = surface.vertices[surface.faces].mean(dim=1)
         corners = surface.vertices[surface.faces]
         area = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).norm(dim=1)
-        inside = (middle > torch.tensor(BOXES[0].minimum)) & (middle < torch.tensor(BOXES[0].maximum))
+        inside = (middle > BOXES[0].box.minimum) & (middle < BOXES[0].box.maximum)
         weight = area * inside.all(dim=1)
         errors.append(float((sdf(middle).abs() * weight).sum() / weight.sum()))
     assert errors[1] < 0.3 * errors[0]
@@ -158,7 +159,7 @@ def test_refining_brings_the_surface_closer_in_the_boxes():
 
 def test_boxes_finer_than_there_are_coordinates_are_refused():
     grid = unit_grid()
-    deep = RefineBox(minimum=(0.0, 0.0, 0.0), maximum=(0.1, 0.1, 0.1), levels=vertex_level(grid) - 1)
+    deep = RefineBox(box=Box.between((0.0, 0.0, 0.0), (0.1, 0.1, 0.1)), levels=vertex_level(grid) - 1)
     extractor = CONFIGS["diagonal"].build(grid.at_level(1), CPU)
     extractor.cells.set_boxes([deep])
     with pytest.raises(ValueError, match="the finest level"):

@@ -34,7 +34,7 @@ def object_box(name: str, low: Sequence[float], high: Sequence[float], scene_box
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Frozen:
+class FrozenField:
     """A box with the field as it was when it was frozen."""
 
     box: Box
@@ -43,21 +43,21 @@ class Frozen:
     """What the field was told by ``set_detail``."""
 
 
-def freeze(box: Box, field: Field, detail: float) -> Frozen:
+def freeze(box: Box, field: Field, detail: float) -> FrozenField:
     """Keep the field's values in the box, whatever it learns from now on."""
     copy = deepcopy(field)
     for parameter in copy.parameters():
         parameter.requires_grad_(False)
-    return Frozen(box=box, field=copy, detail=detail)
+    return FrozenField(box=box, field=copy, detail=detail)
 
 
-def write_frozen(path: Path, frozen: Frozen) -> None:
+def write_frozen(path: Path, frozen: FrozenField) -> None:
     """Raises OutputError if the file cannot be written."""
     tensors = {name: value.detach().cpu().contiguous() for name, value in frozen.field.state_dict().items()}
     write_atomically(path, save(tensors, metadata={"detail": repr(frozen.detail)}))
 
 
-def read_frozen(path: Path, box: Box, field: Field) -> Frozen:
+def read_frozen(path: Path, box: Box, field: Field) -> FrozenField:
     """Inverse of ``write_frozen``; ``field`` is one of the same make. Raises CheckpointError for a damaged file."""
     try:
         with safe_open(path, framework="pt") as file:
@@ -72,7 +72,7 @@ def read_frozen(path: Path, box: Box, field: Field) -> Frozen:
 
 
 def signed_distance(
-    field: Field, frozen: Sequence[Frozen], points: Float[Tensor, "n 3"], margin: float
+    field: Field, frozen: Sequence[FrozenField], points: Float[Tensor, "n 3"], margin: float
 ) -> Float[Tensor, " n"]:
     """The field's values; in frozen boxes those it had, with a smooth passage of width ``margin`` inside the walls.
 
@@ -99,7 +99,7 @@ def within(boxes: Sequence[Box], points: Float[Tensor, "n 3"]) -> Bool[Tensor, "
     return inside
 
 
-def frozen_rows(frozen: Sequence[Frozen], grid: Grid, keys: Int64[Tensor, " n"]) -> Bool[Tensor, " n"] | None:
+def frozen_rows(frozen: Sequence[FrozenField], grid: Grid, keys: Int64[Tensor, " n"]) -> Bool[Tensor, " n"] | None:
     """Of cells and corners of the grid, or of an octree over it, those in frozen boxes; None if nothing is frozen."""
     if not frozen:
         return None

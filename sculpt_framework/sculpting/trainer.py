@@ -23,7 +23,7 @@ from sculpt_framework.extractors import Extraction, Extractor
 from sculpt_framework.fields import Field
 from sculpt_framework.losses import GeometryLoss, ImageLoss, Term, TrainingImage, ViewsLoss
 from sculpt_framework.rasterizers import Rasterizer
-from sculpt_framework.sculpting.boxes import Frozen, frozen_rows, signed_distance, untaught
+from sculpt_framework.sculpting.boxes import FrozenField, frozen_rows, signed_distance, untaught
 from sculpt_framework.sculpting.config import StageConfig, TrainerConfig
 from sculpt_framework.sculpting.gaussian_scene import GaussianScene, assemble
 from sculpt_framework.sculpting.own_parameters import OwnParameters
@@ -110,7 +110,7 @@ class BiLevelTrainer:
         """Cells the surface was in after the latest extraction."""
         self.extraction: Extraction | None = None
         self.inner_total = 0
-        self.frozen: list[Frozen] = []
+        self.frozen: list[FrozenField] = []
         self.ignored: list[Box] = []
         """Where images teach nothing about the surface."""
         self.surface_rate = 1.0

@@ -114,6 +114,27 @@ def test_outside_nothing_moves_but_one_ring(name: str, earlier: Sequence[RefineB
         assert bool((levels_of(found.cells[free_cells(grid, areas, found)]) > 0).all())
 
 
+def test_a_sheet_thinner_than_the_cells_stays_as_they_saw_it():
+    def sheet(points: Tensor) -> Tensor:
+        return sphere_sdf(0.6)(points).abs() - 0.03
+
+    grid, area = unit_grid(), OVERLAPPING.box
+    free, holding = (CONFIGS["tetrahedra"].build(grid, CPU) for _ in range(2))
+    assert isinstance(free, RefiningExtractor)
+    assert isinstance(holding, RefiningExtractor)
+    whole = free.extract(sheet, discover(sheet, grid, 0))
+    expected = far_vertices(whole, [area], rings=2)
+    # At smaller cells beside the box the field shows more of the sheet, and that asks for smaller cells again.
+    free.cells.set_boxes([OVERLAPPING])
+    shown = far_vertices(free.extract(sheet, whole.cells), [area], rings=2)
+    assert len(shown) > 1.3 * len(expected)
+    holding.cells.hold_outside([area], holding.surface_to_hold(sheet, whole.cells))
+    holding.cells.set_boxes([OVERLAPPING])
+    found = holding.extract(sheet, whole.cells)
+    check_extraction(found)
+    assert torch.equal(far_vertices(found, [area], rings=2), expected)
+
+
 def free_cells(grid: Grid, boxes: Sequence[Box], found: Extraction) -> Tensor:
     """Which cells lie in cells of the grid that a box reaches into."""
     return Hold(grid, boxes).is_free(found.cells)

@@ -35,7 +35,6 @@ from sculpt_framework.events import Event
 from sculpt_framework.geometry.band import Band
 from sculpt_framework.geometry.grid import Grid, pack, unpack_ijk
 from sculpt_framework.geometry.octree_band import OctreeBand
-from sculpt_framework.geometry.octree_policy import LevelMap
 from sculpt_framework.geometry.signed_distance import SdfFunction
 from sculpt_framework.plan.make import plan_scene
 from sculpt_framework.sculpting.config import PlanConfig, of_sculpting
@@ -76,9 +75,6 @@ class UniformFlexiCubes(FlexiCubes):
     @property
     def corner_count(self) -> int:
         return math.prod(n + 1 for n in self._shape)
-
-    def set_worth(self, worth: LevelMap | None) -> None:
-        """Cells stay of one size."""
 
     def _follow(self, sdf: SdfFunction, seeds: Int64[Tensor, " s"]) -> Band | OctreeBand:
         nx, ny, nz = self._shape
@@ -139,6 +135,9 @@ def measure(data: str, kind: str, options: Sequence[str]) -> Measured:
     scene = config.dataset.build(config.data).load()
     config, _ = plan_scene(of_sculpting(replace(config, observers=())), scene)
     config = replace(config, plan=PlanConfig())
+    if kind != "band":
+        # Cells stay of one size.
+        config = replace(config, trainer=replace(config.trainer, cell_pixels=None))
     events: list[Event] = []
     session = Session(scene, config, emit=events.append)
     trainer, corners = trainer_of(session), None

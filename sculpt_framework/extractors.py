@@ -1,20 +1,17 @@
 """Slot ``extractor``: from signed distance to a closed triangle mesh, differentiably."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from jaxtyping import Float, Int64
 from torch import Tensor
 
-from sculpt_framework.geometry.grid import Grid, RefineBox
+from sculpt_framework.geometry.cell_policy import CellPolicy
+from sculpt_framework.geometry.grid import Grid
+from sculpt_framework.geometry.octree_hold import HeldSurface
 from sculpt_framework.geometry.signed_distance import SdfFunction
 from sculpt_framework.keyed import KeyedTable
 from sculpt_framework.types import Surface
-
-if TYPE_CHECKING:
-    from sculpt_framework.geometry.octree_policy import LevelMap
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -76,31 +73,18 @@ class Extractor(ABC):
 class RefiningExtractor(Extractor):
     """An extractor that can work on finer cells in boxes and on coarser ones elsewhere, to the same contract.
 
-    The cells of an extraction, and its seeds, then are of several levels.
+    The cells of an extraction, and its seeds, then are of several levels: those that ``cells`` says.
     """
 
+    @property
     @abstractmethod
-    def set_boxes(self, boxes: Sequence[RefineBox]) -> None:
-        """From now on refine the surface in these boxes (object frame) and nowhere else.
+    def cells(self) -> CellPolicy:
+        """What to tell of boxes, worth and holding; it has the grid, and finds the band."""
 
-        Raises ValueError if cells that fine have no coordinates (``octree.vertex_level``), also later in ``set_grid``.
-        """
-
-    @abstractmethod
-    def set_worth(self, worth: "LevelMap | None") -> None:
-        """From now on use larger cells than the grid's where these say that smaller ones are not worth while.
-
-        Boxes refine there all the same. None: all cells outside boxes are of the grid's size.
-        """
+    @property
+    def grid(self) -> Grid:
+        return self.cells.grid
 
     @abstractmethod
-    def hold_outside(
-        self, boxes: Sequence[RefineBox], surface: tuple[SdfFunction, Int64[Tensor, " s"]] | None = None
-    ) -> None:
-        """Keep the surface outside these boxes (object frame) to the bit, whatever the sdf becomes.
-
-        What is kept is the surface that ``extract`` makes of this sdf and these seeds now, so before ``set_boxes`` adds
-        boxes to refine in. It is kept on ``tables`` that never learn; without it they are left empty, for those of an
-        earlier run to be loaded. Free are the grid's cells that a box reaches into; beyond them only a ring of cells
-        for each level that a box refines by changes. From then on ``set_grid`` to another level raises ValueError.
-        """
+    def surface_to_hold(self, sdf: SdfFunction, seeds: Int64[Tensor, " s"]) -> HeldSurface:
+        """The surface that ``extract`` makes of this now, as ``CellPolicy.hold_outside`` takes it."""

@@ -11,6 +11,7 @@ Axis names in shape strings: v vertices, f faces, g Gaussians, k Gaussians of a 
 c channels, h rows, w columns, n points.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -93,10 +94,20 @@ class View:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Box:
-    """An axis-aligned box in world frame that holds the object."""
+    """An axis-aligned box, in the frame that its owner says. That of a scene is in world frame and holds the object.
+
+    The object frame, which some methods here go to and from, is that of the scene's box.
+    """
 
     minimum: Float[Tensor, " 3"]
     maximum: Float[Tensor, " 3"]
+
+    @staticmethod
+    def between(
+        low: Sequence[float] | Float64[np.ndarray, " 3"], high: Sequence[float] | Float64[np.ndarray, " 3"]
+    ) -> "Box":
+        """The box with these corners, in float64."""
+        return Box(minimum=torch.tensor(low, dtype=torch.float64), maximum=torch.tensor(high, dtype=torch.float64))
 
     @property
     def center(self) -> Float[Tensor, " 3"]:
@@ -111,6 +122,11 @@ class Box:
     def half_sides(self) -> Float[Tensor, " 3"]:
         """Half sides in the object frame; the largest is 1."""
         return 0.5 * (self.maximum - self.minimum) / self.scale
+
+    def depth(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
+        """Distance to the nearest wall, positive inside, negative outside (there a lower bound in size)."""
+        low, high = self.minimum.to(points), self.maximum.to(points)
+        return torch.minimum(points - low, high - points).amin(dim=1)
 
     def to_object(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
         return (points - self.center.to(points)) / self.scale

@@ -204,7 +204,9 @@ def _extractor(way: Way, resolution: int, device: "torch.device") -> "Extractor"
     from sculpt_framework import registry
     from sculpt_framework.config import ExtractorConfig
     from sculpt_framework.extractors import RefiningExtractor
-    from sculpt_framework.geometry.grid import RefineBox, grid_over_box
+    from sculpt_framework.geometry.grid import grid_over_box
+    from sculpt_framework.geometry.octree_policy import RefineBox
+    from sculpt_framework.types import Box
 
     level = round(math.log2(resolution / BASE_CELLS))
     coarser = {"flexicubes-half": 1, "flexicubes-octree": level}.get(way, 0)
@@ -214,7 +216,7 @@ def _extractor(way: Way, resolution: int, device: "torch.device") -> "Extractor"
     if coarser > 0:
         assert isinstance(extractor, RefiningExtractor)  # noqa: S101 - flexicubes is one
         low = 0.0 if way == "flexicubes-half" else -2.0
-        extractor.set_boxes([RefineBox(minimum=(low, -2.0, -2.0), maximum=(2.0, 2.0, 2.0), levels=coarser)])
+        extractor.cells.set_boxes([RefineBox(box=Box.between((low, -2.0, -2.0), (2.0, 2.0, 2.0)), levels=coarser)])
     return extractor
 
 

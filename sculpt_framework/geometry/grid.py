@@ -85,16 +85,6 @@ class Grid:
         return ((points - origin) / self.cell).floor().long().clamp(min=0).minimum(top)
 
 
-@dataclass(frozen=True, kw_only=True)
-class RefineBox:
-    """An axis-aligned box, in the frame of the grid, in which the surface is wanted on finer cells."""
-
-    minimum: tuple[float, float, float]
-    maximum: tuple[float, float, float]
-    levels: int
-    """How many levels finer than elsewhere; each halves the cells."""
-
-
 def grid_over_box(half_sides: Float[Tensor, " 3"], cells: int, level: int = 0, margin_cells: int = 2) -> Grid:
     """A grid over the box [-half_sides, half_sides] with about ``cells`` cells along its longest side at level 0.
 

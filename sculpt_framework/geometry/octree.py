@@ -284,6 +284,11 @@ def vertex_level(grid: Grid) -> int:
     return level
 
 
+def vertex_ijk(grid: Grid, vertices: Int64[Tensor, " n"]) -> Int64[Tensor, "n 3"]:
+    """Coordinates, on the level of vertices, of corners of the grid or of an octree over it."""
+    return unpack_ijk(vertices) << (vertex_level(grid) - levels_of(vertices))[:, None]
+
+
 def corner_keys(grid: Grid, cells: Int64[Tensor, " c"]) -> Int64[Tensor, "c 8"]:
     """Vertices at the corners of the cells."""
     return _vertex_keys(grid, cells, unpack_ijk(cells), corner_offsets(cells.device), vertex_level(grid))

@@ -18,12 +18,13 @@ from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
 from sculpt_framework.geometry.band import CornerSampler, corner_offsets, levels_of
-from sculpt_framework.geometry.grid import Grid, RefineBox, pack, unpack_ijk
+from sculpt_framework.geometry.grid import Grid, pack, unpack_ijk
 from sculpt_framework.geometry.keys import find
-from sculpt_framework.geometry.octree import WantedLevels, key_steps, vertex_level
+from sculpt_framework.geometry.octree import WantedLevels, key_steps, vertex_ijk, vertex_level
 from sculpt_framework.geometry.octree_policy import coarsen, reached_along
 from sculpt_framework.geometry.signed_distance import SdfFunction
 from sculpt_framework.keyed import KeyedTable
+from sculpt_framework.types import Box
 
 CORNERS, CELLS = "held_corners", "held_cells"
 """Names of the tables."""
@@ -42,12 +43,14 @@ class HeldSurface:
     """Keys of the band's cells, ascending."""
     weights: Mapping[str, Float[Tensor, "c w"]]
     """What else each cell's part of the surface depends on, by name."""
+    distance: SdfFunction
+    """Tells how far from the surface, on no matter which side, other places are."""
 
 
 class Hold:
     """Holds a surface outside boxes. What is held are rows of tables that never learn, so it is saved like all rows."""
 
-    def __init__(self, grid: Grid, boxes: Sequence[RefineBox], weight_names: Sequence[str] = ()):
+    def __init__(self, grid: Grid, boxes: Sequence[Box], weight_names: Sequence[str] = ()):
         """Holds nothing yet: ``fill`` it, or load the tables. ``grid`` is that of the roots, and stays."""
         self.grid = grid
         self._finest = grid.at_level(vertex_level(grid))
@@ -58,18 +61,19 @@ class Hold:
         }
 
     @torch.no_grad()
-    def fill(self, held: HeldSurface, sdf: SdfFunction) -> None:
-        """Hold this surface. ``sdf`` tells how far from it, on no matter which side, the rest of the rim is."""
+    def fill(self, held: HeldSurface) -> None:
+        """Hold this surface."""
         finest = self._finest
-        corners = pack(finest.level, unpack_ijk(held.corners) << (finest.level - levels_of(held.corners))[:, None])
+        corners = pack(finest.level, vertex_ijk(self.grid, held.corners))
         corners, order = corners.sort()
         self._store(corners, held.positions[order], held.sdf[order])
         level = int(levels_of(held.cells).max())
         rim = self._rim(level, held.cells.device)
         position, value, known = self._stored(rim)
         places = finest.corner_positions(unpack_ijk(rim), held.positions.dtype)
-        distance = sdf(places).to(value).abs().clamp(min=1e-3 * self.grid.cell)
-        sides = self._spread(rim, level, torch.where(value < 0, -1, 1), known, sdf(places))
+        distances = held.distance(places)
+        distance = distances.to(value).abs().clamp(min=1e-3 * self.grid.cell)
+        sides = self._spread(rim, level, torch.where(value < 0, -1, 1), known, distances)
         value = torch.where(known, value, distance * sides)
         position = torch.where(known[:, None], position, places)
         fresh = ~find(corners, rim)[1]

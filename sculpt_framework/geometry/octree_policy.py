@@ -16,10 +16,19 @@ from jaxtyping import Bool, Float64, Int64
 from torch import Tensor
 
 from sculpt_framework.geometry.band import children, levels_of, parents
-from sculpt_framework.geometry.grid import Grid, RefineBox, unpack_ijk
+from sculpt_framework.geometry.grid import Grid, unpack_ijk
 from sculpt_framework.geometry.octree import WantedLevels, vertex_level
 from sculpt_framework.geometry.signed_distance import SdfFunction
-from sculpt_framework.types import Camera
+from sculpt_framework.types import Box, Camera
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RefineBox:
+    """A box, in the frame of the grid, in which the surface is wanted on finer cells."""
+
+    box: Box
+    levels: int
+    """How many levels finer than elsewhere; each halves the cells."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -82,20 +91,21 @@ def wanted_levels(grid: Grid, boxes: Sequence[RefineBox] = (), worth: LevelMap |
         level = torch.full_like(cells, grid.level) if worth is None else worth.at(cells).clamp(max=grid.level)
         if boxes:
             low, high = extent(grid, cells)
-            for box in boxes:
-                reached = (high > low.new_tensor(box.minimum)) & (low < low.new_tensor(box.maximum))
-                level = torch.where(reached.all(dim=1), level.clamp(min=grid.level + box.levels), level)
+            for each in boxes:
+                reached = (high > each.box.minimum.to(low)) & (low < each.box.maximum.to(low))
+                level = torch.where(reached.all(dim=1), level.clamp(min=grid.level + each.levels), level)
         return level
 
     return wanted
 
 
-def reached_along(grid: Grid, box: RefineBox) -> list[Bool[Tensor, " _"]]:
+def reached_along(grid: Grid, box: Box) -> list[Bool[Tensor, " _"]]:
     """Which layers of the grid's cells, along each axis, the box reaches into: into a cell if into all its layers."""
     layers = []
+    minimum, maximum = box.minimum.tolist(), box.maximum.tolist()
     for axis, count in enumerate(grid.shape):
         low = grid.origin[axis] + torch.arange(count, dtype=torch.float64) * grid.cell
-        layers.append((low + grid.cell > box.minimum[axis]) & (low < box.maximum[axis]))
+        layers.append((low + grid.cell > minimum[axis]) & (low < maximum[axis]))
     return layers
 
 

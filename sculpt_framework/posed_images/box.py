@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
 from jaxtyping import Bool, Float64
 
 from sculpt_framework.errors import DataError
@@ -45,7 +44,9 @@ _SIDES = ("-x", "-y", "-z", "+x", "+y", "+z")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Region:
+class FoundBox:
+    """The scene's box, and how it came about."""
+
     box: Box
     said: str
     """One line: where the box is, and what decided its sides."""
@@ -75,7 +76,7 @@ class _Limit(_Bounds):
     name: str
 
 
-def fit_box(views: Sequence[View], clues: Clues = NO_CLUES) -> Region:
+def fit_box(views: Sequence[View], clues: Clues = NO_CLUES) -> FoundBox:
     """The bounds of the visual hull with a small margin, and one line that says how they were found.
 
     Where fewer than three views show the object whole, the clues bound it too, or else the space that half of the views
@@ -96,7 +97,7 @@ def fit_box(views: Sequence[View], clues: Clues = NO_CLUES) -> Region:
         shown = 0 if whole else math.ceil(_MAJORITY * len(outlines))
         limit, found = None, _around(outlines, masked, Rule(allowed=0, shown=shown))
     margin = _MARGIN * (found.high - found.low).max()
-    box = Box(minimum=torch.from_numpy(found.low - margin), maximum=torch.from_numpy(found.high + margin))
+    box = Box.between(found.low - margin, found.high + margin)
     bounded = _bounded_otherwise(outlines, found, limit, whole)
     source = f"{masked} masks" if masked == len(views) else f"{masked} masks and {len(views)} frusta"
     said = f"{box_in_words(box)} fitted from {source if masked else 'frusta'} of {len(views)} views"
@@ -104,7 +105,7 @@ def fit_box(views: Sequence[View], clues: Clues = NO_CLUES) -> Region:
         name = "what half of the views show" if limit is None else limit.name
         said += f"; {_sides(bounded)} by {name}"
         said += "" if bounded.all() else f", {_sides(~bounded)} by {'masks' if masked else 'frusta'}"
-    return Region(box=box, said=said + _open_ends(outlines, found) + remark + ".", cuts=bool(bounded.any()))
+    return FoundBox(box=box, said=said + _open_ends(outlines, found) + remark + ".", cuts=bool(bounded.any()))
 
 
 def box_in_words(box: Box) -> str:

@@ -7,10 +7,9 @@ from typing import TypeVar
 
 import numpy as np
 import torch
-from jaxtyping import Float64
 
 from sculpt_framework.errors import DataError
-from sculpt_framework.posed_images.box import Region, box_in_words, fit_box
+from sculpt_framework.posed_images.box import FoundBox, box_in_words, fit_box
 from sculpt_framework.posed_images.clues import Clues, points_bounds
 from sculpt_framework.posed_images.options import PhotographsConfig
 from sculpt_framework.posed_images.projected_box import box_outline
@@ -53,24 +52,24 @@ def load_photographs(
     loaded = load_views(train, test, keyed, downscale=options.downscale, all_round=True)
     said = [*notes, *loaded.notes]
     views, held_out = list(loaded.train), list(loaded.test)
-    given = None if options.box is None else _box_of(options.box)
+    given = None if options.box is None else Box.between(options.box[:3], options.box[3:])
     if options.masks != "none" and any(view.alpha is None for view in views):
         seed, how = (given, "the box given") if given is not None else seed_box(views, clues)
         sure = given is not None or clues.box is not None
         views, held_out, found = _with_masks(views, held_out, seed, sure, options)
         said += [f"the object is looked for in {how}.", *found]
-    region = Region(box=given, said="box as given.", cuts=True) if given is not None else _find_region(views, clues)
-    if region.cuts:
-        views, held_out = _showing(_cut_to(region.box, views)), _cut_to(region.box, held_out)
+    bounds = FoundBox(box=given, said="box as given.", cuts=True) if given is not None else _find_box(views, clues)
+    if bounds.cuts:
+        views, held_out = _showing(_cut_to(bounds.box, views)), _cut_to(bounds.box, held_out)
         if not views:
-            raise DataError(f"no train image shows any of the object inside the {region.said}")
+            raise DataError(f"no train image shows any of the object inside the {bounds.said}")
     return Scene(
         name=name,
         train=tuple(views),
         test=tuple(held_out),
-        box=region.box,
+        box=bounds.box,
         reference_mesh=reference,
-        notes=(*said, region.said),
+        notes=(*said, bounds.said),
     )
 
 
@@ -105,18 +104,18 @@ def seed_box(views: Sequence[View], clues: Clues) -> tuple[Box, str]:
     inside = clues.points[((clues.points > low) & (clues.points < high)).all(axis=1)]
     corners = points_bounds(inside)
     if corners is not None:
-        box = _box(np.maximum(corners[0], low), np.minimum(corners[1], high))
+        box = Box.between(np.maximum(corners[0], low), np.minimum(corners[1], high))
         return box, f"the box of {len(inside)} of {len(clues.points)} sparse points"
     center, half = frusta.center.numpy(), 0.7 * frusta.half_sides.numpy() * frusta.scale
-    return _box(center - half, center + half), "the middle of the space that all cameras see"
+    return Box.between(center - half, center + half), "the middle of the space that all cameras see"
 
 
-def _find_region(views: Sequence[View], clues: Clues) -> Region:
+def _find_box(views: Sequence[View], clues: Clues) -> FoundBox:
     if any(view.alpha is not None for view in views):
         return fit_box(views, clues)
     box, how = seed_box(views, clues)
     said = f"{box_in_words(box)} is {how}; there are no masks to fit it to: --dataset.box says it better."
-    return Region(box=box, said=said, cuts=True)
+    return FoundBox(box=box, said=said, cuts=True)
 
 
 def _cut_to(box: Box, views: Sequence[View]) -> list[View]:
@@ -132,11 +131,3 @@ def _cut_to(box: Box, views: Sequence[View]) -> list[View]:
 
 def _showing(views: Sequence[View]) -> list[View]:
     return [view for view in views if view.alpha is None or bool((view.alpha > 0.5).any())]
-
-
-def _box_of(corners: Sequence[float]) -> Box:
-    return _box(np.array(corners[:3], np.float64), np.array(corners[3:], np.float64))
-
-
-def _box(low: Float64[np.ndarray, " 3"], high: Float64[np.ndarray, " 3"]) -> Box:
-    return Box(minimum=torch.from_numpy(low.astype(np.float64)), maximum=torch.from_numpy(high.astype(np.float64)))

@@ -10,11 +10,12 @@ from sculpt_framework.engine.parallel import Processes
 from sculpt_framework.errors import ConfigError
 from sculpt_framework.extractors import Extractor, RefiningExtractor
 from sculpt_framework.geometry.band import cells_at_level, coarsened, discover
-from sculpt_framework.geometry.grid import Grid, RefineBox, grid_over_box
-from sculpt_framework.geometry.octree_policy import LevelMap, level_map, wanted_levels
+from sculpt_framework.geometry.grid import Grid, grid_over_box
+from sculpt_framework.geometry.octree_policy import LevelMap, RefineBox, level_map, wanted_levels
 from sculpt_framework.losses import GeometryLoss, ImageLoss, TrainingImage, ViewsLoss
 from sculpt_framework.rasterizers import Rasterizer
 from sculpt_framework.registry import name_of
+from sculpt_framework.sculpting.boxes import object_box
 from sculpt_framework.sculpting.config import SculptingConfig, TrainerConfig
 from sculpt_framework.sculpting.gaussian_scene import GaussianScene
 from sculpt_framework.sculpting.trainer import BiLevelTrainer, Objectives, Weighted
@@ -92,9 +93,9 @@ def build_extractor(config: SculptingConfig, box: Box, grid: Grid, device: torch
         wanted_levels(grid.at_level(max(stage.level for stage in stages)), boxes)
     except ValueError as error:
         raise ConfigError(f"--refine-box-levels {config.refine_box_levels} is too many here: {error}") from error
-    extractor.set_boxes(boxes)
+    extractor.cells.set_boxes(boxes)
     if config.repair is not None:
-        extractor.hold_outside(boxes)
+        extractor.cells.hold_outside([each.box for each in boxes])
     return extractor
 
 
@@ -104,24 +105,15 @@ def take_images(trainer: BiLevelTrainer, config: TrainerConfig, images: Sequence
     extractor = trainer.extractor
     if config.cell_pixels is not None and isinstance(extractor, RefiningExtractor):
         worth = level_map(extractor.grid, [image.camera for image in images], config.cell_pixels)
-        extractor.set_worth(LevelMap(levels=worth.levels.to(images[0].premultiplied.device)))
+        extractor.cells.set_worth(LevelMap(levels=worth.levels.to(images[0].premultiplied.device)))
 
 
 def refine_boxes(config: SculptingConfig, box: Box) -> list[RefineBox]:
     """The boxes of ``--refine-box`` in the object frame. Raises ConfigError for one that misses the object's box."""
-    boxes = []
-    for given in config.refine_box:
-        low, high = torch.tensor(given[:3]), torch.tensor(given[3:])
-        if bool((low >= box.maximum).any() | (high <= box.minimum).any()):
-            corners = [f"{number:.4g}" for number in (*box.minimum.tolist(), *box.maximum.tolist())]
-            raise ConfigError(
-                f"--refine-box {' '.join(f'{number:g}' for number in given)} lies outside the object's box, "
-                f"which is {' '.join(corners)}"
-            )
-        x, y, z = box.to_object(torch.stack([low, high])).double().T.tolist()
-        low_corner, high_corner = (x[0], y[0], z[0]), (x[1], y[1], z[1])
-        boxes.append(RefineBox(minimum=low_corner, maximum=high_corner, levels=config.refine_box_levels))
-    return boxes
+    return [
+        RefineBox(box=object_box("--refine-box", given[:3], given[3:], box), levels=config.refine_box_levels)
+        for given in config.refine_box
+    ]
 
 
 def refine_in(parts: Parts, boxes: Sequence[RefineBox], finest: int) -> Parts:
@@ -134,7 +126,7 @@ def refine_in(parts: Parts, boxes: Sequence[RefineBox], finest: int) -> Parts:
     if not isinstance(extractor, RefiningExtractor):
         raise ValueError("this extractor has cells of one size only")
     wanted_levels(parts.grid.at_level(finest), boxes)
-    extractor.set_boxes(boxes)
+    extractor.cells.set_boxes(boxes)
     refined = replace(parts, refinement=1 << max((box.levels for box in boxes), default=0))
     parts.trainer.field.set_detail(refined.detail)
     fit_seeds(refined)

@@ -51,7 +51,8 @@ def start_of_repair(config: SculptingConfig, repaired: Path, scene: Scene) -> Sa
     assert trainer.seeds is not None, "a finished run has a surface"  # noqa: S101
     with torch.no_grad(), undisturbed(trainer):
         mesh, _ = world_mesh(trainer.extract().surface.detach(), scene.box)
-    trainer.extractor.hold_outside(boxes, (trainer.signed_distance, trainer.seeds))
+    surface = trainer.extractor.surface_to_hold(trainer.signed_distance, trainer.seeds)
+    trainer.extractor.cells.hold_outside([each.box for each in boxes], surface)
     state = capture(trainer, 0, torch.Generator().manual_seed(config.seed))
     moved = _moved(repaired / "mesh.ply", mesh.vertices)
     if moved > 0:

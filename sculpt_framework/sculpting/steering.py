@@ -4,14 +4,12 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-import torch
-
 from sculpt_framework.commands import AddBox, ClearBoxes, Command, SetRate, SetWeight, SwitchConstraint
 from sculpt_framework.errors import ConfigError
-from sculpt_framework.geometry.grid import RefineBox
+from sculpt_framework.geometry.octree_policy import RefineBox
 from sculpt_framework.sculpting.assembly import Parts, refine_boxes, refine_in
+from sculpt_framework.sculpting.boxes import freeze, object_box, read_frozen, write_frozen
 from sculpt_framework.sculpting.config import SculptingConfig
-from sculpt_framework.sculpting.regions import Region, freeze, read_frozen, write_frozen
 from sculpt_framework.sculpting.trainer import Objectives
 from sculpt_framework.types import Box
 
@@ -21,7 +19,7 @@ class Wishes:
 
     def __init__(self, parts: Parts, config: SculptingConfig, box: Box):
         self.parts = parts
-        self._box = box
+        self._scene_box = box
         self._objectives = parts.trainer.objectives
         self._weights: dict[tuple[str, str], float] = {}
         self._off: set[str] = set()
@@ -74,33 +72,27 @@ class Wishes:
         return f"learning rates of the {command.part} times {command.factor:g}"
 
     def _add_box(self, command: AddBox, step: int, folder: Path) -> str:
-        box = self._box
-        low, high = torch.tensor(command.minimum).to(box.minimum), torch.tensor(command.maximum).to(box.minimum)
-        if bool((low >= box.maximum).any() | (high <= box.minimum).any()):
-            raise ConfigError("the box lies outside the object's box.")
-        minimum, maximum = box.to_object(torch.stack([low, high])).float()
-        region = Region(minimum=minimum, maximum=maximum)
+        box = object_box("the box", command.minimum, command.maximum, self._scene_box)
         if command.kind == "refine":
-            (x0, y0, z0), (x1, y1, z1) = minimum.tolist(), maximum.tolist()
-            self._refine([*self._boxes, RefineBox(minimum=(x0, y0, z0), maximum=(x1, y1, z1), levels=1)])
+            self._refine([*self._boxes, RefineBox(box=box, levels=1)])
         elif command.kind == "freeze":
-            self._freeze(region, step, folder)
+            self._freeze(box, step, folder)
         else:
-            self.parts.trainer.ignored.append(region)
+            self.parts.trainer.ignored.append(box)
         corners = " ".join(f"{number:.4g}" for number in (*command.minimum, *command.maximum))
         return f"{command.kind} in the box {corners}"
 
-    def _freeze(self, region: Region, step: int, folder: Path) -> None:
+    def _freeze(self, box: Box, step: int, folder: Path) -> None:
         """The values that are kept go to a file: a run that is gone on with must not take later ones."""
         trainer = self.parts.trainer
         path = folder / "checkpoints" / f"frozen-{step:06d}-{len(trainer.frozen)}.safetensors"
         if path.exists():
-            trainer.frozen.append(read_frozen(path, region, trainer.field))
+            trainer.frozen.append(read_frozen(path, box, trainer.field))
         else:
-            frozen = freeze(region, trainer.field, self.parts.detail)
+            frozen = freeze(box, trainer.field, self.parts.detail)
             write_frozen(path, frozen)
             trainer.frozen.append(frozen)
-        trainer.ignored.append(region)
+        trainer.ignored.append(box)
 
     def _refine(self, boxes: list[RefineBox]) -> None:
         try:

@@ -23,14 +23,14 @@ from sculpt_framework.extractors import Extraction, Extractor
 from sculpt_framework.fields import Field
 from sculpt_framework.losses import GeometryLoss, ImageLoss, Term, TrainingImage, ViewsLoss
 from sculpt_framework.rasterizers import Rasterizer
+from sculpt_framework.sculpting.boxes import FrozenField, frozen_rows, signed_distance, untaught
 from sculpt_framework.sculpting.config import StageConfig, TrainerConfig
 from sculpt_framework.sculpting.gaussian_scene import GaussianScene, assemble
 from sculpt_framework.sculpting.own_parameters import OwnParameters
-from sculpt_framework.sculpting.regions import Frozen, Region, frozen_rows, signed_distance, untaught
 from sculpt_framework.sculpting.term_gating import TermGating
 from sculpt_framework.sculpting.trust_region import TrustRegion
 from sculpt_framework.sculpting.view_gradients import ViewGradients, Walk, Weighted
-from sculpt_framework.types import Surface
+from sculpt_framework.types import Box, Surface
 
 _CHUNK, _LEAST_WARM_UP = 10, 30
 """Colour steps between two looks at the clock while colours are warmed up, and those that there are in any case."""
@@ -106,8 +106,8 @@ class BiLevelTrainer:
         """Cells the surface was in after the latest extraction."""
         self.extraction: Extraction | None = None
         self.inner_total = 0
-        self.frozen: list[Frozen] = []
-        self.ignored: list[Region] = []
+        self.frozen: list[FrozenField] = []
+        self.ignored: list[Box] = []
         """Where images teach nothing about the surface."""
         self.surface_rate = 1.0
         self.gaussian_rate = 1.0

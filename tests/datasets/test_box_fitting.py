@@ -24,8 +24,8 @@ def _moved(camera: Camera, by: Sequence[float]) -> Camera:
 @pytest.mark.parametrize("views", [8, 40])
 def test_box_is_tight(views: int) -> None:
     centers, radii = [(0.3, 0.0, -0.1), (-0.4, 0.2, 0.3)], [0.4, 0.2]
-    region = fit_box(ball_views(centers, radii, demo_cameras(views, SIDE)))
-    box, note = region.box, region.said
+    found = fit_box(ball_views(centers, radii, demo_cameras(views, SIDE)))
+    box, note = found.box, found.said
     low = torch.tensor([-0.6, -0.4, -0.5], dtype=torch.float64)
     high = torch.tensor([0.7, 0.4, 0.5], dtype=torch.float64)
     assert (box.minimum <= low).all()
@@ -81,8 +81,8 @@ def test_few_wrong_masks_are_outvoted() -> None:
     wrong = torch.zeros(SIDE, SIDE)
     wrong[2:6, 2:6] = 1
     views[3] = replace(views[3], alpha=wrong)
-    region = fit_box(views)
-    box, note = region.box, region.said
+    found = fit_box(views)
+    box, note = found.box, found.said
     assert "may contradict the others" in note
     assert (box.maximum >= 0.5).all()
     assert box.scale < 0.7
@@ -97,8 +97,8 @@ def test_contradicting_masks_are_refused() -> None:
 
 def test_views_without_alpha_give_the_intersection_of_frusta() -> None:
     views = [replace(view, alpha=None) for view in ball_views([(0, 0, 0)], [0.5], demo_cameras(30, SIDE))]
-    region = fit_box(views)
-    box, note = region.box, region.said
+    found = fit_box(views)
+    box, note = found.box, found.said
     assert "frusta of 30 views" in note
     assert (box.minimum <= -1.0).all()
     assert (box.maximum >= 1.0).all()
@@ -110,8 +110,8 @@ def test_two_opposite_views() -> None:
     camera = demo_cameras(1, SIDE)[0]
     turned = camera.world_to_camera.clone()
     turned[:3, :3] = torch.diag(torch.tensor([-1.0, 1, -1], dtype=torch.float64)) @ turned[:3, :3]
-    region = fit_box(ball_views([(0, 0, 0)], [0.5], [camera, replace(camera, world_to_camera=turned)]))
-    box, note = region.box, region.said
+    found = fit_box(ball_views([(0, 0, 0)], [0.5], [camera, replace(camera, world_to_camera=turned)]))
+    box, note = found.box, found.said
     assert "around the distance" in note
     assert (box.maximum >= 0.45).all()
     assert box.scale < 1

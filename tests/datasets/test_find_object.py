@@ -54,7 +54,7 @@ def ring(surface: Surface, *, masked: bool = False) -> list[View]:
     return [replace(view, name=str(index)) for index, view in enumerate(views)]
 
 
-SEED = Box(minimum=torch.full((3,), -0.6, dtype=torch.float64), maximum=torch.full((3,), 0.6, dtype=torch.float64))
+SEED = Box.between([-0.6] * 3, [0.6] * 3)
 
 
 def overlaps(found: list[View], truth: list[View]) -> list[float]:

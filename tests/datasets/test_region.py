@@ -27,7 +27,7 @@ RADIUS = 0.9
 
 
 def _box(low: float, high: float) -> Box:
-    return Box(minimum=torch.full((3,), low, dtype=torch.float64), maximum=torch.full((3,), high, dtype=torch.float64))
+    return Box.between([low] * 3, [high] * 3)
 
 
 def _given(low: float, high: float) -> Clues:
@@ -48,12 +48,12 @@ def cut_off() -> list[View]:
 
 def test_a_box_given_bounds_what_masks_leave_open(cut_off: list[View]) -> None:
     free = fit_box(cut_off)
-    region = fit_box(cut_off, _given(-1.0, 1.0))
+    found = fit_box(cut_off, _given(-1.0, 1.0))
     assert free.box.minimum[1] > -RADIUS
-    assert (region.box.minimum <= -RADIUS).all()
-    assert (region.box.maximum >= RADIUS).all()
-    assert region.cuts
-    assert "by the ball" in region.said
+    assert (found.box.minimum <= -RADIUS).all()
+    assert (found.box.maximum >= RADIUS).all()
+    assert found.cuts
+    assert "by the ball" in found.said
 
 
 def test_masks_bound_the_sides_they_close(cut_off: list[View]) -> None:
@@ -66,10 +66,10 @@ def test_masks_bound_the_sides_they_close(cut_off: list[View]) -> None:
         ),
         box_name="the ball",
     )
-    region = fit_box(cut_off, tall)
-    assert -1.8 < region.box.minimum[2] < -RADIUS
-    assert RADIUS < region.box.maximum[2] < 1.6
-    by_masks = region.said.split(" by the ball, ")[1]
+    found = fit_box(cut_off, tall)
+    assert -1.8 < found.box.minimum[2] < -RADIUS
+    assert RADIUS < found.box.maximum[2] < 1.6
+    by_masks = found.said.split(" by the ball, ")[1]
     assert "-z" in by_masks
     assert "+z" in by_masks
     assert by_masks.endswith("by masks.")
@@ -78,34 +78,34 @@ def test_masks_bound_the_sides_they_close(cut_off: list[View]) -> None:
 def test_masks_of_the_whole_object_win_where_they_close_it() -> None:
     views = ball_views([(0, 0, 0)], [0.5], demo_cameras(20, SIDE))
     free = fit_box(views)
-    region = fit_box(views, _given(-1.0, 1.0))
-    assert torch.equal(region.box.minimum, free.box.minimum)
-    assert torch.equal(region.box.maximum, free.box.maximum)
-    assert region.said == free.said
-    assert not region.cuts
+    found = fit_box(views, _given(-1.0, 1.0))
+    assert torch.equal(found.box.minimum, free.box.minimum)
+    assert torch.equal(found.box.maximum, free.box.maximum)
+    assert found.said == free.said
+    assert not found.cuts
 
 
 def test_a_box_given_bounds_a_hull_that_few_whole_views_leave_deep() -> None:
     """Three views from one side show the ball whole and leave its depth open; no mask reaches out of the box."""
     cameras = demo_cameras(60, SIDE, placement="front")[:3]
     views = ball_views([(0, 0, 0)], [0.5], cameras)
-    free, region = fit_box(views), fit_box(views, _given(-0.6, 0.6))
-    assert region.box.scale < 0.63 < free.box.scale
-    assert "by the ball" in region.said
+    free, found = fit_box(views), fit_box(views, _given(-0.6, 0.6))
+    assert found.box.scale < 0.63 < free.box.scale
+    assert "by the ball" in found.said
 
 
 def test_a_box_given_that_whole_masks_contradict_is_not_used() -> None:
     views = ball_views([(0, 0, 0)], [RADIUS], demo_cameras(20, SIDE))
-    region = fit_box(views, _given(-0.3, 0.3))
-    assert torch.equal(region.box.minimum, fit_box(views).box.minimum)
-    assert "the ball is not used: 20 of 20 masks of the whole object reach out of it" in region.said
-    assert not region.cuts
+    found = fit_box(views, _given(-0.3, 0.3))
+    assert torch.equal(found.box.minimum, fit_box(views).box.minimum)
+    assert "the ball is not used: 20 of 20 masks of the whole object reach out of it" in found.said
+    assert not found.cuts
 
 
 def test_a_box_given_where_no_mask_is_is_not_used(cut_off: list[View]) -> None:
-    region = fit_box(cut_off, _given(7.0, 8.0))
-    assert "the ball is not used: it holds no place inside the masks" in region.said
-    assert torch.equal(region.box.minimum, fit_box(cut_off).box.minimum)
+    found = fit_box(cut_off, _given(7.0, 8.0))
+    assert "the ball is not used: it holds no place inside the masks" in found.said
+    assert torch.equal(found.box.minimum, fit_box(cut_off).box.minimum)
 
 
 def test_sparse_points_inside_the_masks_bound_what_they_leave_open(cut_off: list[View]) -> None:
@@ -118,28 +118,28 @@ def test_sparse_points_inside_the_masks_bound_what_they_leave_open(cut_off: list
     beside = [~admits(outline_of(view), np.zeros(3), around, 0.0)[0] for view in cut_off]
     away = around[np.sum(beside, axis=0) >= 3]
     assert len(away) > 200
-    region = fit_box(cut_off, Clues(points=np.concatenate([on_ball, away])))
-    assert "sparse points" in region.said
-    assert region.cuts
-    assert (region.box.maximum >= RADIUS).all()
-    assert (region.box.maximum <= 1.4 * RADIUS).all()
-    assert (region.box.minimum <= -0.5 * RADIUS).all()
-    assert (region.box.minimum >= -1.4 * RADIUS).all()
+    found = fit_box(cut_off, Clues(points=np.concatenate([on_ball, away])))
+    assert "sparse points" in found.said
+    assert found.cuts
+    assert (found.box.maximum >= RADIUS).all()
+    assert (found.box.maximum <= 1.4 * RADIUS).all()
+    assert (found.box.minimum <= -0.5 * RADIUS).all()
+    assert (found.box.minimum >= -1.4 * RADIUS).all()
     # The hull of views that show the object whole needs none.
     whole = ball_views([(0, 0, 0)], [RADIUS], demo_cameras(20, SIDE))
     assert fit_box(whole, Clues(points=on_ball / 3)).said == fit_box(whole).said
 
 
 def test_too_few_sparse_points_are_not_used(cut_off: list[View]) -> None:
-    region = fit_box(cut_off, Clues(points=np.zeros((5, 3))))
-    assert "only 5 of 5 sparse points lie inside the masks and are not used" in region.said
+    found = fit_box(cut_off, Clues(points=np.zeros((5, 3))))
+    assert "only 5 of 5 sparse points lie inside the masks and are not used" in found.said
 
 
 def test_else_the_majority_of_the_views_bounds_it(cut_off: list[View]) -> None:
-    region = fit_box(cut_off)
-    assert "by what half of the views show" in region.said
-    assert region.cuts
-    low, high = region.box.minimum.numpy(), region.box.maximum.numpy()
+    found = fit_box(cut_off)
+    assert "by what half of the views show" in found.said
+    assert found.cuts
+    low, high = found.box.minimum.numpy(), found.box.maximum.numpy()
     assert (low <= 0).all()
     assert (high >= 0).all()
     # Well beyond its walls there is no place that half of the views show, less those that speak against it.
@@ -196,7 +196,7 @@ def test_training_images_end_where_the_photograph_does(cut_off: list[View]) -> N
     cut = 0
     for view in cut_off:
         assert view.alpha is not None
-        image = prepare_image(view, _box(-1, 1), 1.0, torch.device("cpu"))
+        image = prepare_image(view, _box(-1.0, 1.0), 1.0, torch.device("cpu"))
         assert image.alpha is not None
         assert image.alpha.sum() == view.alpha.sum()
         for side in (0, -1):
@@ -230,7 +230,7 @@ def test_edges_that_reach_behind_the_camera_end_before_it() -> None:
     assert len(box_edges(camera, ahead)) == 12
     assert box_edges(camera, ahead).min() == 25
     # Four edges lie behind, four are cut, four are ahead.
-    around = box_edges(camera, _box(-1, 1))
+    around = box_edges(camera, _box(-1.0, 1.0))
     assert len(around) == 8
     assert np.isfinite(around).all()
     behind = replace(ahead, minimum=ahead.minimum - 8, maximum=ahead.maximum - 8)

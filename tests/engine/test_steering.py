@@ -36,9 +36,9 @@ from sculpt_framework.evaluation.certificate import certify
 from sculpt_framework.evaluation.geometry import MeasuredMesh
 from sculpt_framework.events import Event
 from sculpt_framework.export.mesh_files import read_colored_mesh
+from sculpt_framework.sculpting.boxes import untaught
 from sculpt_framework.sculpting.reconstruction import Reconstruction
-from sculpt_framework.sculpting.regions import Region, untaught
-from sculpt_framework.types import Scene
+from sculpt_framework.types import Box, Scene
 from sculpt_plugins.observers.recorder.observer import event_line
 
 EVERYTHING: tuple[Command, ...] = (
@@ -248,7 +248,7 @@ def test_a_frozen_box_stays_and_the_rest_moves(scene: Scene, tmp_path: Path):
     with torch.no_grad():
         points = trainer.extract().surface.vertices
         held, kept, free = trainer.signed_distance(points), frozen.field(points), trainer.field(points)
-    depth = frozen.region.depth(points)
+    depth = frozen.box.depth(points)
     deep, outside = depth > passage, depth < 0
     assert bool(deep.any())
     assert torch.equal(held[deep], kept[deep])
@@ -263,16 +263,16 @@ def test_a_frozen_box_stays_and_the_rest_moves(scene: Scene, tmp_path: Path):
 
 def test_images_teach_nothing_where_they_are_ignored(scene: Scene, tmp_path: Path):
     trainer = Told(small_config(steps=1, stages=ONE_STAGE), scene, tmp_path, []).method.trainer
-    region = Region(minimum=-scene.box.half_sides, maximum=scene.box.half_sides * scene.box.half_sides.new([1, 1, 0]))
+    box = Box(minimum=-scene.box.half_sides, maximum=scene.box.half_sides * scene.box.half_sides.new([1, 1, 0]))
     surface = trainer.extract().surface
-    shielded = untaught([region], surface)
+    shielded = untaught([box], surface)
     corners = shielded.vertices.sum(dim=1)
     inside = surface.vertices.detach()[:, 2] < 0
     assert bool(inside.any())
     assert bool((~inside).any())
     assert corners[~inside].sum().requires_grad
     surface.vertices.retain_grad()
-    shielded = untaught([region], surface)
+    shielded = untaught([box], surface)
     shielded.vertices.sum().backward()
     assert surface.vertices.grad is not None
     assert bool((surface.vertices.grad[inside] == 0).all())
@@ -339,6 +339,6 @@ def test_a_frozen_surface_outlives_a_resumed_run(scene: Scene, tmp_path: Path):
     steering = Steering(session, folder=tmp_path)
     steering.take_up([Recorded(outer=1, command=box)], outer=2)
     again = method_of(session).trainer.frozen[0]
-    points = first.region.minimum + 0.5 * (first.region.maximum - first.region.minimum)
+    points = first.box.center
     assert float(first.field(points[None]).detach()) == float(again.field(points[None]))
     assert float(first.field(points[None]).detach()) != float(method_of(session).trainer.field(points[None]).detach())

@@ -9,14 +9,15 @@ from torch import Tensor
 from sculpt_framework.config import ExtractorConfig
 from sculpt_framework.extractors import RefiningExtractor
 from sculpt_framework.geometry.band import cells_at_level, discover, levels_of, parents
-from sculpt_framework.geometry.grid import Grid, RefineBox, grid_over_box, pack, unpack_ijk
+from sculpt_framework.geometry.grid import Grid, grid_over_box, pack, unpack_ijk
 from sculpt_framework.geometry.keys import find
 from sculpt_framework.geometry.octree import heirs, vertex_level
-from sculpt_framework.geometry.octree_policy import wanted_levels
+from sculpt_framework.geometry.octree_policy import RefineBox, wanted_levels
 from sculpt_framework.geometry.signed_distance import EmptySurfaceError, SdfFunction
 from sculpt_framework.geometry.topology import components, euler_characteristic, signed_volume
 from sculpt_framework.keyed import KeyedTable
 from sculpt_framework.testing import box_sdf, check_extraction, kept_faces, sphere_sdf, torus_sdf
+from sculpt_framework.types import Box
 from sculpt_plugins.extractors.flexicubes.config import FlexiCubesConfig
 from sculpt_plugins.extractors.flexicubes.extractor import FlexiCubes
 from sculpt_plugins.extractors.marching_tetrahedra.config import MarchingTetrahedraConfig
@@ -24,8 +25,8 @@ from sculpt_plugins.losses.eikonal.loss import Eikonal
 
 CPU = torch.device("cpu")
 BOXES = (
-    RefineBox(minimum=(0.2, -0.3, -0.3), maximum=(0.9, 0.3, 0.3), levels=2),
-    RefineBox(minimum=(-0.9, 0.1, -0.9), maximum=(-0.2, 0.7, 0.9), levels=1),
+    RefineBox(box=Box.between((0.2, -0.3, -0.3), (0.9, 0.3, 0.3)), levels=2),
+    RefineBox(box=Box.between((-0.9, 0.1, -0.9), (-0.2, 0.7, 0.9)), levels=1),
 )
 CONFIGS = {
     "diagonal": FlexiCubesConfig(learn_weights=False),
@@ -42,7 +43,7 @@ def unit_grid(cells: int = 12, level: int = 0) -> Grid:
 def refining(config: ExtractorConfig, grid: Grid) -> RefiningExtractor:
     extractor = config.build(grid, CPU)
     assert isinstance(extractor, RefiningExtractor)
-    extractor.set_boxes(BOXES)
+    extractor.cells.set_boxes(BOXES)
     return extractor
 
 
@@ -98,10 +99,10 @@ def test_extremes_with_boxes(config: ExtractorConfig):
 
 def test_surface_that_moved_out_of_its_cells_is_found_again():
     grid = unit_grid(10)
-    box = RefineBox(minimum=(0.1, -0.4, -0.4), maximum=(0.9, 0.4, 0.4), levels=3)
+    box = RefineBox(box=Box.between((0.1, -0.4, -0.4), (0.9, 0.4, 0.4)), levels=3)
     extractor = CONFIGS["diagonal"].build(grid, CPU)
     assert isinstance(extractor, RefiningExtractor)
-    extractor.set_boxes([box])
+    extractor.cells.set_boxes([box])
     # A ball of its own, all within the box, grows by more than two of its cells.
     before, after = sphere_sdf(0.2, (0.45, 0.0, 0.0)), sphere_sdf(0.26, (0.45, 0.0, 0.0))
     cells = extractor.extract(before, discover(before, grid, 0)).cells
@@ -128,11 +129,11 @@ def test_outside_the_boxes_the_surface_is_the_plain_one(name: str):
     kept, new = kept_faces(plain, refined)
     place = plain.vertices[plain.faces]
     reach = torch.zeros(len(place), dtype=torch.bool)
-    for box in BOXES:
+    for each in BOXES:
         # The cells a box reaches into, a ring for each level but the first for the sake of balance, one where a
         # crossing is hidden, and one of cells that touch finer ones.
-        slack = (box.levels + 2) * grid.cell
-        near = (place > torch.tensor(box.minimum) - slack) & (place < torch.tensor(box.maximum) + slack)
+        slack = (each.levels + 2) * grid.cell
+        near = (place > each.box.minimum - slack) & (place < each.box.maximum + slack)
         reach |= near.all(dim=2).any(dim=1)
     assert 0.1 < float(reach.float().mean()) < 0.9
     unchanged = torch.zeros(len(place), dtype=torch.bool)
@@ -150,7 +151,7 @@ def test_refining_brings_the_surface_closer_in_the_boxes():
         middle = surface.vertices[surface.faces].mean(dim=1)
         corners = surface.vertices[surface.faces]
         area = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).norm(dim=1)
-        inside = (middle > torch.tensor(BOXES[0].minimum)) & (middle < torch.tensor(BOXES[0].maximum))
+        inside = (middle > BOXES[0].box.minimum) & (middle < BOXES[0].box.maximum)
         weight = area * inside.all(dim=1)
         errors.append(float((sdf(middle).abs() * weight).sum() / weight.sum()))
     assert errors[1] < 0.3 * errors[0]
@@ -158,13 +159,13 @@ def test_refining_brings_the_surface_closer_in_the_boxes():
 
 def test_boxes_finer_than_there_are_coordinates_are_refused():
     grid = unit_grid()
-    deep = RefineBox(minimum=(0.0, 0.0, 0.0), maximum=(0.1, 0.1, 0.1), levels=vertex_level(grid) - 1)
+    deep = RefineBox(box=Box.between((0.0, 0.0, 0.0), (0.1, 0.1, 0.1)), levels=vertex_level(grid) - 1)
     extractor = CONFIGS["diagonal"].build(grid.at_level(1), CPU)
-    extractor.set_boxes([deep])
+    extractor.cells.set_boxes([deep])
     with pytest.raises(ValueError, match="the finest level"):
         extractor.set_grid(grid.at_level(2))
     with pytest.raises(ValueError, match="the finest level"):
-        CONFIGS["diagonal"].build(grid.at_level(2), CPU).set_boxes([deep])
+        CONFIGS["diagonal"].build(grid.at_level(2), CPU).cells.set_boxes([deep])
 
 
 def test_a_finer_grid_refines_in_the_boxes_too():
@@ -237,7 +238,7 @@ def test_weights_pass_on_when_boxes_come_and_go():
         table.zero_grad()
     before = table.state()
     assert float(before["first.alpha"].abs().max()) > 0
-    extractor.set_boxes(BOXES)
+    extractor.cells.set_boxes(BOXES)
     refined = extractor.extract(sdf, cells)
     split = table.state()
     assert bool((levels_of(refined.cells) == 2).any())
@@ -248,7 +249,7 @@ def test_weights_pass_on_when_boxes_come_and_go():
     assert float(there.float().mean()) > 0.95
     for name in ("value.alpha", "first.beta", "second.beta", "value.gamma", "steps"):
         assert torch.equal(split[name][there], before[name][row[there]])
-    extractor.set_boxes(())
+    extractor.cells.set_boxes(())
     merged = extractor.extract(sdf, refined.cells[levels_of(refined.cells) == 0])
     assert torch.equal(merged.cells, cells)
     after = table.state()
@@ -261,7 +262,7 @@ def test_gradient_of_the_tables_through_extraction_with_boxes(name: str):
     grid = unit_grid(7)
     config = FlexiCubesConfig(split="center", learn_deformation=True)
     extractor = FlexiCubes(config, grid, CPU, torch.float64)
-    extractor.set_boxes(BOXES)
+    extractor.cells.set_boxes(BOXES)
     sdf = box_sdf((0.52, 0.61, 0.43))
     seeds = extractor.extract(sdf, discover(sdf, grid, 0)).cells
     random = torch.Generator().manual_seed(11)
@@ -330,7 +331,7 @@ def test_cuda_gives_the_same_surface(config: ExtractorConfig):
     device = torch.device("cuda")
     extractor = config.build(grid, device)
     assert isinstance(extractor, RefiningExtractor)
-    extractor.set_boxes(BOXES)
+    extractor.cells.set_boxes(BOXES)
     there = extractor.extract(sdf, discover(sdf, grid, 0, device=device)).surface
     assert torch.equal(there.face_keys.cpu(), here.face_keys)
     assert torch.equal(there.faces.cpu(), here.faces)

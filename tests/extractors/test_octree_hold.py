@@ -1,7 +1,6 @@
 """A surface held outside boxes: to the bit but for one ring of cells, whatever the field does."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import pytest
 import torch
@@ -10,11 +9,12 @@ from torch import Tensor
 from sculpt_framework.config import ExtractorConfig
 from sculpt_framework.extractors import Extraction, RefiningExtractor
 from sculpt_framework.geometry.band import discover, levels_of
-from sculpt_framework.geometry.grid import Grid, RefineBox, grid_over_box
+from sculpt_framework.geometry.grid import Grid, grid_over_box
 from sculpt_framework.geometry.octree_hold import Hold
-from sculpt_framework.geometry.octree_policy import reached_along
+from sculpt_framework.geometry.octree_policy import RefineBox, reached_along
 from sculpt_framework.geometry.topology import euler_characteristic
 from sculpt_framework.testing import check_extraction, sphere_sdf, torus_sdf
+from sculpt_framework.types import Box
 from sculpt_plugins.extractors.flexicubes.config import FlexiCubesConfig
 from sculpt_plugins.extractors.marching_tetrahedra.config import MarchingTetrahedraConfig
 
@@ -24,9 +24,9 @@ CONFIGS = {
     "center": FlexiCubesConfig(split="center", learn_deformation=True),
     "tetrahedra": MarchingTetrahedraConfig(),
 }
-EARLIER = RefineBox(minimum=(-0.9, -0.4, -0.5), maximum=(-0.2, 0.4, 0.5), levels=1)
-BOX = RefineBox(minimum=(0.05, -0.35, -0.4), maximum=(0.7, 0.35, 0.4), levels=1)
-OVERLAPPING = RefineBox(minimum=(-0.25, 0.2, -0.6), maximum=(0.15, 0.6, 0.6), levels=2)
+EARLIER = RefineBox(box=Box.between((-0.9, -0.4, -0.5), (-0.2, 0.4, 0.5)), levels=1)
+BOX = RefineBox(box=Box.between((0.05, -0.35, -0.4), (0.7, 0.35, 0.4)), levels=1)
+OVERLAPPING = RefineBox(box=Box.between((-0.25, 0.2, -0.6), (0.15, 0.6, 0.6)), levels=2)
 
 
 def unit_grid() -> Grid:
@@ -53,7 +53,7 @@ def learned(
     """An extractor with rows that are not neutral, seeds, and the surface it makes from them."""
     extractor = config.build(grid, CPU)
     assert isinstance(extractor, RefiningExtractor)
-    extractor.set_boxes(boxes)
+    extractor.cells.set_boxes(boxes)
     seeds = extractor.extract(before, discover(before, grid, 0)).cells
     extractor.extract(before, seeds)
     shake(extractor, seed=1)
@@ -68,7 +68,7 @@ def shake(extractor: RefiningExtractor, seed: int) -> None:
                 leaf.data += 0.3 * torch.randn(leaf.shape, generator=random)
 
 
-def far_vertices(extraction: Extraction, boxes: Sequence[RefineBox], rings: int) -> Tensor:
+def far_vertices(extraction: Extraction, boxes: Sequence[Box], rings: int) -> Tensor:
     """Vertices, in order, beyond the cells that a box reaches into and so many rings of cells round them."""
     grid, vertices = extraction.grid, extraction.surface.vertices.detach()
     far = torch.ones(len(vertices), dtype=torch.bool)
@@ -95,26 +95,47 @@ def far_vertices(extraction: Extraction, boxes: Sequence[RefineBox], rings: int)
     ],
 )
 def test_outside_nothing_moves_but_one_ring(name: str, earlier: Sequence[RefineBox], boxes: Sequence[RefineBox]):
-    config, grid = CONFIGS[name], unit_grid()
+    config, grid, areas = CONFIGS[name], unit_grid(), [each.box for each in boxes]
     extractor, seeds, whole = learned(config, grid, earlier)
-    extractor.hold_outside(boxes, (before, seeds))
-    extractor.set_boxes((*earlier, *boxes))
+    extractor.cells.hold_outside(areas, extractor.surface_to_hold(before, seeds))
+    extractor.cells.set_boxes((*earlier, *boxes))
     # Each level after the first is led up to by a ring of cells of the size between.
     rings = max(box.levels for box in boxes)
     # Corners may be shifted by half a cell, so a vertex may be that far from the cell it belongs to.
     slack = 1 if name == "center" else 0
-    expected = far_vertices(whole, boxes, rings + slack)
+    expected = far_vertices(whole, areas, rings + slack)
     assert 0.1 < len(expected) / len(whole.surface.vertices) < 0.95
     for step in range(2):
         found = extractor.extract(after, seeds)
         seeds = found.cells
         shake(extractor, seed=step)
         check_extraction(found)
-        assert torch.equal(far_vertices(found, boxes, rings + slack), expected)
-        assert bool((levels_of(found.cells[free_cells(grid, boxes, found)]) > 0).all())
+        assert torch.equal(far_vertices(found, areas, rings + slack), expected)
+        assert bool((levels_of(found.cells[free_cells(grid, areas, found)]) > 0).all())
 
 
-def free_cells(grid: Grid, boxes: Sequence[RefineBox], found: Extraction) -> Tensor:
+def test_a_sheet_thinner_than_the_cells_stays_as_they_saw_it():
+    def sheet(points: Tensor) -> Tensor:
+        return sphere_sdf(0.6)(points).abs() - 0.03
+
+    grid, area = unit_grid(), OVERLAPPING.box
+    free, holding = (CONFIGS["tetrahedra"].build(grid, CPU) for _ in range(2))
+    assert isinstance(free, RefiningExtractor)
+    assert isinstance(holding, RefiningExtractor)
+    whole = free.extract(sheet, discover(sheet, grid, 0))
+    expected = far_vertices(whole, [area], rings=2)
+    # At smaller cells beside the box the field shows more of the sheet, and that asks for smaller cells again.
+    free.cells.set_boxes([OVERLAPPING])
+    shown = far_vertices(free.extract(sheet, whole.cells), [area], rings=2)
+    assert len(shown) > 1.3 * len(expected)
+    holding.cells.hold_outside([area], holding.surface_to_hold(sheet, whole.cells))
+    holding.cells.set_boxes([OVERLAPPING])
+    found = holding.extract(sheet, whole.cells)
+    check_extraction(found)
+    assert torch.equal(far_vertices(found, [area], rings=2), expected)
+
+
+def free_cells(grid: Grid, boxes: Sequence[Box], found: Extraction) -> Tensor:
     """Which cells lie in cells of the grid that a box reaches into."""
     return Hold(grid, boxes).is_free(found.cells)
 
@@ -123,14 +144,14 @@ def free_cells(grid: Grid, boxes: Sequence[RefineBox], found: Extraction) -> Ten
 def test_what_is_held_passes_to_another_extractor_by_its_tables(config: ExtractorConfig):
     grid = unit_grid()
     extractor, seeds, whole = learned(config, grid, ())
-    extractor.hold_outside([BOX], (before, seeds))
-    extractor.set_boxes([BOX])
+    extractor.cells.hold_outside([BOX.box], extractor.surface_to_hold(before, seeds))
+    extractor.cells.set_boxes([BOX])
     extractor.extract(after, whole.cells)
     here = extractor.extract(after, whole.cells)
     other = config.build(grid, CPU)
     assert isinstance(other, RefiningExtractor)
-    other.set_boxes([BOX])
-    other.hold_outside([BOX])
+    other.cells.set_boxes([BOX])
+    other.cells.hold_outside([BOX.box])
     for name, table in other.tables.items():
         table.load_state(extractor.tables[name].state())
     there = other.extract(after, whole.cells)
@@ -143,8 +164,8 @@ def test_what_is_held_passes_to_another_extractor_by_its_tables(config: Extracto
 def test_gradient_reaches_the_field_in_the_boxes_only():
     grid = unit_grid()
     extractor, seeds, whole = learned(CONFIGS["diagonal"], grid, ())
-    extractor.hold_outside([BOX], (before, seeds))
-    extractor.set_boxes([BOX])
+    extractor.cells.hold_outside([BOX.box], extractor.surface_to_hold(before, seeds))
+    extractor.cells.set_boxes([BOX])
     asked: list[Tensor] = []
 
     def sdf(points: Tensor) -> Tensor:
@@ -154,7 +175,7 @@ def test_gradient_reaches_the_field_in_the_boxes_only():
 
     extractor.extract(sdf, whole.cells).surface.vertices.square().sum().backward()
     moved = torch.cat([points.detach() for points in asked if points.grad is not None])
-    layers = reached_along(grid, BOX)
+    layers = reached_along(grid, BOX.box)
     for axis in range(3):
         inside = torch.nonzero(layers[axis])
         assert float(moved[:, axis].min()) > grid.origin[axis] + grid.cell * int(inside.min())
@@ -168,9 +189,9 @@ def test_the_surface_cannot_leave_the_boxes(value: float):
     sdf = sphere_sdf(0.61)
     extractor = CONFIGS["diagonal"].build(grid, CPU)
     assert isinstance(extractor, RefiningExtractor)
-    box = replace(BOX, minimum=(0.3, -0.9, -0.9), maximum=(0.9, 0.9, 0.9))
-    extractor.hold_outside([box], (sdf, discover(sdf, grid, 0)))
-    extractor.set_boxes([box])
+    box = RefineBox(box=Box.between((0.3, -0.9, -0.9), (0.9, 0.9, 0.9)), levels=1)
+    extractor.cells.hold_outside([box.box], extractor.surface_to_hold(sdf, discover(sdf, grid, 0)))
+    extractor.cells.set_boxes([box])
     found = extractor.extract(lambda points: torch.full_like(points[:, 0], value), discover(sdf, grid, 0))
     check_extraction(found)
     assert euler_characteristic(found.surface.faces) == 2
@@ -181,13 +202,13 @@ def test_the_surface_cannot_leave_the_boxes(value: float):
 def test_a_box_that_holds_all_of_the_surface_holds_nothing():
     grid = unit_grid()
     extractor, seeds, whole = learned(CONFIGS["diagonal"], grid, ())
-    box = RefineBox(minimum=(-1.0, -1.0, -1.0), maximum=(1.0, 1.0, 1.0), levels=1)
-    extractor.hold_outside([box], (before, seeds))
-    extractor.set_boxes([box])
+    box = RefineBox(box=Box.between((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0)), levels=1)
+    extractor.cells.hold_outside([box.box], extractor.surface_to_hold(before, seeds))
+    extractor.cells.set_boxes([box])
     held = extractor.extract(after, whole.cells)
     free = CONFIGS["diagonal"].build(grid, CPU)
     assert isinstance(free, RefiningExtractor)
-    free.set_boxes([box])
+    free.cells.set_boxes([box])
     for name, table in free.tables.items():
         table.load_state(extractor.tables[name].state())
     assert torch.equal(free.extract(after, whole.cells).surface.face_keys, held.surface.face_keys)

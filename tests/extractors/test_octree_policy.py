@@ -8,11 +8,12 @@ from hypothesis import strategies as st
 from octree_cases import box_grid, sampler
 
 from sculpt_framework.geometry.band import cells_at_level, discover, levels_of, parents
-from sculpt_framework.geometry.grid import Grid, RefineBox, grid_over_box, pack, unpack_ijk
+from sculpt_framework.geometry.grid import Grid, grid_over_box, pack, unpack_ijk
 from sculpt_framework.geometry.octree import Octree, leaves, vertex_level
 from sculpt_framework.geometry.octree_band import grow_octree
 from sculpt_framework.geometry.octree_policy import (
     LevelMap,
+    RefineBox,
     coarsen,
     level_map,
     may_hold_surface,
@@ -21,9 +22,9 @@ from sculpt_framework.geometry.octree_policy import (
     wanted_levels,
 )
 from sculpt_framework.testing import sphere_sdf, torus_sdf
-from sculpt_framework.types import Camera
+from sculpt_framework.types import Box, Camera
 
-BOX = RefineBox(minimum=(0.3, -0.2, -0.2), maximum=(0.7, 0.2, 0.2), levels=2)
+BOX = RefineBox(box=Box.between((0.3, -0.2, -0.2), (0.7, 0.2, 0.2)), levels=2)
 
 
 def middle(grid: Grid, cells: torch.Tensor) -> torch.Tensor:
@@ -33,13 +34,13 @@ def middle(grid: Grid, cells: torch.Tensor) -> torch.Tensor:
 
 def test_boxes_ask_for_finer_levels_where_they_reach_into_a_cell():
     grid = box_grid((4, 4, 4), level=1)  # Cells of 1/4.
-    wanted = wanted_levels(grid, [BOX, RefineBox(minimum=(-0.9, -0.9, -0.9), maximum=(0.35, 0.0, 0.0), levels=1)])
+    wanted = wanted_levels(grid, [BOX, RefineBox(box=Box.between((-0.9, -0.9, -0.9), (0.35, 0.0, 0.0)), levels=1)])
     cells = pack(1, torch.tensor([[5, 4, 4], [4, 4, 4], [7, 7, 7], [0, 0, 0], [5, 3, 3], [5, 2, 3]]))
     assert wanted(cells).tolist() == [3, 1, 1, 2, 3, 2]
     assert wanted_levels(grid)(cells).tolist() == [1] * 6
     fine = cells_at_level(cells[:1], 2)
-    inside = ((middle(grid, fine) - 0.5 * 0.0625 < torch.tensor(BOX.maximum)).all(dim=1)) & (
-        (middle(grid, fine) + 0.5 * 0.0625 > torch.tensor(BOX.minimum)).all(dim=1)
+    inside = ((middle(grid, fine) - 0.5 * 0.0625 < BOX.box.maximum).all(dim=1)) & (
+        (middle(grid, fine) + 0.5 * 0.0625 > BOX.box.minimum).all(dim=1)
     )
     assert torch.equal(wanted(fine) == 3, inside)
 
@@ -78,7 +79,7 @@ def test_refining_costs_what_the_surface_costs():
         seeds = discover(torus_sdf(), grid, 0)
         fine = grid.at_level(level + 2)
         # As if a box held everything.
-        all_over = [RefineBox(minimum=(-2.0, -2.0, -2.0), maximum=(2.0, 2.0, 2.0), levels=2)]
+        all_over = [RefineBox(box=Box.between((-2.0, -2.0, -2.0), (2.0, 2.0, 2.0)), levels=2)]
         cells = refine(torus_sdf(), grid, seeds, wanted_levels(grid, all_over))
         assert torch.equal(cells, discover(torus_sdf(), fine, 0))
         sizes.append(len(cells))
@@ -121,7 +122,7 @@ def test_the_surface_is_split_as_it_moves_and_merged_where_it_left():
 
 def test_coarsening_gives_the_largest_cells_that_are_fine_enough():
     grid = box_grid((4, 4, 4))
-    wanted = wanted_levels(grid, [RefineBox(minimum=(-1.0, -1.0, -1.0), maximum=(-0.4, 1.0, 1.0), levels=2)])
+    wanted = wanted_levels(grid, [RefineBox(box=Box.between((-1.0, -1.0, -1.0), (-0.4, 1.0, 1.0)), levels=2)])
     deep = cells_at_level(pack(0, torch.tensor([[0, 1, 1], [1, 1, 1], [3, 2, 2]])), 3)
     cells = coarsen(grid, deep, wanted)
     assert torch.equal(cells, cells.unique())
@@ -174,7 +175,7 @@ def test_wanted_levels_follow_what_is_worth_while():
     levels = torch.zeros(grid.base_shape, dtype=torch.int64)
     levels[levels.shape[0] // 2 :] = 1
     levels[-3:] = 5
-    box = RefineBox(minimum=(-0.3, -0.3, -0.3), maximum=(-0.1, 0.1, 0.1), levels=1)
+    box = RefineBox(box=Box.between((-0.3, -0.3, -0.3), (-0.1, 0.1, 0.1)), levels=1)
     wanted = wanted_levels(grid, [box], LevelMap(levels=levels))
     x = torch.tensor([0, 7, 9])
     roots = pack(0, torch.stack([x, torch.full_like(x, 1), torch.full_like(x, 1)], dim=1))

@@ -9,10 +9,11 @@ from torch import Tensor
 from sculpt_framework.config import ExtractorConfig
 from sculpt_framework.extractors import RefiningExtractor
 from sculpt_framework.geometry.band import cells_at_level, discover, levels_of
-from sculpt_framework.geometry.grid import Grid, RefineBox, grid_over_box, unpack_ijk
-from sculpt_framework.geometry.octree_policy import LevelMap, wanted_levels
+from sculpt_framework.geometry.grid import Grid, grid_over_box, unpack_ijk
+from sculpt_framework.geometry.octree_policy import LevelMap, RefineBox, wanted_levels
 from sculpt_framework.geometry.topology import euler_characteristic, signed_volume
 from sculpt_framework.testing import check_extraction, sphere_sdf, torus_sdf
+from sculpt_framework.types import Box
 from sculpt_plugins.extractors.flexicubes.config import FlexiCubesConfig
 from sculpt_plugins.extractors.marching_tetrahedra.config import MarchingTetrahedraConfig
 
@@ -23,7 +24,7 @@ CONFIGS = {
     "tetrahedra": MarchingTetrahedraConfig(),
 }
 TORUS = torus_sdf(0.55, 0.22)
-BOX = RefineBox(minimum=(-0.9, -0.2, -0.3), maximum=(-0.3, 0.2, 0.3), levels=1)
+BOX = RefineBox(box=Box.between((-0.9, -0.2, -0.3), (-0.3, 0.2, 0.3)), levels=1)
 
 
 def unit_grid(level: int = 2) -> Grid:
@@ -40,7 +41,7 @@ def falling(grid: Grid) -> LevelMap:
 def sparing(config: ExtractorConfig, grid: Grid) -> RefiningExtractor:
     extractor = config.build(grid, CPU)
     assert isinstance(extractor, RefiningExtractor)
-    extractor.set_worth(falling(grid))
+    extractor.cells.set_worth(falling(grid))
     return extractor
 
 
@@ -71,11 +72,11 @@ def test_where_all_is_worth_while_nothing_changes(name: str):
     plain = CONFIGS[name].build(grid, CPU).extract(TORUS, seeds).surface
     extractor = CONFIGS[name].build(grid, CPU)
     assert isinstance(extractor, RefiningExtractor)
-    extractor.set_worth(LevelMap(levels=torch.full(grid.base_shape, 7)))
+    extractor.cells.set_worth(LevelMap(levels=torch.full(grid.base_shape, 7)))
     same = extractor.extract(TORUS, seeds).surface
     assert torch.equal(torch.unique(same.vertices, dim=0), torch.unique(plain.vertices, dim=0))
     assert torch.equal(same.face_keys.sort().values, plain.face_keys.sort().values)
-    extractor.set_worth(None)
+    extractor.cells.set_worth(None)
     assert torch.equal(extractor.extract(TORUS, seeds).surface.vertices, plain.vertices)
 
 
@@ -87,8 +88,8 @@ def test_stages_boxes_and_holding_go_together_with_it(config: ExtractorConfig):
     seeds = extractor.extract(TORUS, cells_at_level(cells, 1)).cells
     whole = extractor.extract(TORUS, seeds)
     assert levels_of(whole.cells).unique().tolist() == [0, 1, 2]
-    extractor.hold_outside([BOX], (TORUS, seeds))
-    extractor.set_boxes([BOX])
+    extractor.cells.hold_outside([BOX.box], extractor.surface_to_hold(TORUS, seeds))
+    extractor.cells.set_boxes([BOX])
 
     def swollen(points: Tensor) -> Tensor:
         return TORUS(points) - 0.02
@@ -98,7 +99,7 @@ def test_stages_boxes_and_holding_go_together_with_it(config: ExtractorConfig):
     assert levels_of(found.cells).unique().tolist() == [0, 1, 2, 3]
     side = found.grid.base_cell * 0.5 ** levels_of(found.cells)[:, None]
     low = torch.tensor(found.grid.origin) + unpack_ijk(found.cells) * side
-    reached = (low < torch.tensor(BOX.maximum)) & (low + side > torch.tensor(BOX.minimum))
+    reached = (low < BOX.box.maximum) & (low + side > BOX.box.minimum)
     assert bool((levels_of(found.cells)[reached.all(dim=1)] == 3).all())
     # Half the object away nothing has moved.
     there, here = (s.vertices.detach()[s.vertices[:, 0] > 0.3] for s in (whole.surface, found.surface))

@@ -22,7 +22,7 @@ class BlenderDataset(Dataset):
         loaded = load_views(
             posed_images(train), posed_images(test), self.config.background, downscale=self.config.downscale
         )
-        region = fit_box(loaded.train)
+        bounds = fit_box(loaded.train)
         if len(loaded.train) <= 2:
             count = "one view" if len(loaded.train) == 1 else "two views"
             notes.append(f"only {count} to learn from: what they do not show is made up.")
@@ -31,9 +31,9 @@ class BlenderDataset(Dataset):
             name=self.folder.resolve().name,
             train=loaded.train,
             test=loaded.test,
-            box=region.box,
+            box=bounds.box,
             reference_mesh=reference if reference.is_file() else None,
-            notes=(*notes, *test_notes, *loaded.notes, region.said),
+            notes=(*notes, *test_notes, *loaded.notes, bounds.said),
         )
 
     def _test_split(self) -> tuple[list[Frame], list[str]]:

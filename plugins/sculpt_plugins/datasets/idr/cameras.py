@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import torch
 from jaxtyping import Float64
 from scipy import linalg
 
@@ -87,4 +86,4 @@ def ball_box(matrices: Mapping[str, Float64[np.ndarray, "4 4"]], path: Path) -> 
     radii, center = np.linalg.norm(matrix[:3, :3], axis=1), matrix[:3, 3]
     if radii.min() <= 1e-9 * max(radii.max(), 1e-300):
         raise DataError(f"{path}: scale_mat_0 is singular; expected the ball that holds the object.")
-    return Box(minimum=torch.from_numpy(center - radii), maximum=torch.from_numpy(center + radii))
+    return Box.between(center - radii, center + radii)

@@ -45,13 +45,13 @@ class OmniObject3DDataset(Dataset):
         loaded = load_views(
             posed_images(train), posed_images(test), self.config.background, downscale=self.config.downscale
         )
-        region = fit_box(loaded.train)
-        reference, scan_note = reference_mesh(self.folder, transforms, region.box)
+        bounds = fit_box(loaded.train)
+        reference, scan_note = reference_mesh(self.folder, transforms, bounds.box)
         return Scene(
             name=self.folder.resolve().name,
             train=loaded.train,
             test=loaded.test,
-            box=region.box,
+            box=bounds.box,
             reference_mesh=reference,
-            notes=(*notes, *loaded.notes, region.said, scan_note),
+            notes=(*notes, *loaded.notes, bounds.said, scan_note),
         )

@@ -1,6 +1,6 @@
 """The ``flexicubes`` extractor: learnable tables round the pure functions of this package."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
@@ -8,13 +8,13 @@ from jaxtyping import Float, Int64
 from torch import Tensor
 
 from sculpt_framework.extractors import Extraction, RefiningExtractor
-from sculpt_framework.geometry.band import Band, levels_of, track
-from sculpt_framework.geometry.grid import Grid, RefineBox, pack, unpack_ijk
+from sculpt_framework.geometry.band import Band, levels_of
+from sculpt_framework.geometry.cell_policy import CellPolicy
+from sculpt_framework.geometry.grid import Grid, pack
 from sculpt_framework.geometry.keys import find
-from sculpt_framework.geometry.octree import corner_keys, heirs, vertex_level
-from sculpt_framework.geometry.octree_band import OctreeBand, grow_octree
-from sculpt_framework.geometry.octree_hold import HeldSurface, Hold
-from sculpt_framework.geometry.octree_policy import LevelMap, coarsen, roots_under, wanted_levels
+from sculpt_framework.geometry.octree import corner_keys, heirs, vertex_ijk, vertex_level
+from sculpt_framework.geometry.octree_band import OctreeBand
+from sculpt_framework.geometry.octree_hold import HeldSurface
 from sculpt_framework.geometry.signed_distance import SdfFunction
 from sculpt_framework.keyed import KeyedTable
 from sculpt_plugins.extractors.flexicubes.config import FlexiCubesConfig
@@ -49,12 +49,6 @@ class FlexiCubes(RefiningExtractor):
 
     def __init__(self, config: FlexiCubesConfig, grid: Grid, device: torch.device, dtype: torch.dtype):
         self.config = config
-        self._grid = grid
-        self._boxes: tuple[RefineBox, ...] = ()
-        self._worth: LevelMap | None = None
-        self._hold: Hold | None = None
-        self._before: Band | None = None
-        """That of the latest surface, from which the next is found sooner."""
         self._device = device
         self._dtype = dtype
         self._tables: dict[str, KeyedTable] = {}
@@ -63,56 +57,39 @@ class FlexiCubes(RefiningExtractor):
             self._tables["cells"] = KeyedTable(dict.fromkeys(self._weight_sizes, config.weight_rate))
         if config.learn_deformation:
             self._tables["corners"] = KeyedTable({"delta": config.deformation_rate})
+        self._cells = CellPolicy(grid, tuple(self._weight_sizes) if config.learn_weights else ())
         self._corner_reach = torch.zeros(0, dtype=dtype, device=device)
         """Of each row of deltas, the side of the smallest cell at its corner."""
 
     @property
-    def grid(self) -> Grid:
-        return self._grid
+    def cells(self) -> CellPolicy:
+        return self._cells
 
     @property
     def tables(self) -> dict[str, KeyedTable]:
-        return self._tables if self._hold is None else {**self._tables, **self._hold.tables}
+        return {**self._tables, **self._cells.tables}
 
     def set_grid(self, grid: Grid) -> None:
         """Cells take over the weights, and their optimiser state, of the cells they lie in or hold.
 
         Shifts of corners are forgotten: the field says what the sdf is at the place they return to.
         """
-        if grid.at_level(0) != self._grid.at_level(0):
-            raise ValueError("set_grid changes the level of a grid, not its box")
-        if self._hold is not None and grid != self._grid:
-            raise ValueError("the grid of a surface that is held stays what it is")
-        wanted_levels(grid, self._boxes)
-        if grid != self._grid and self.config.learn_deformation:
+        before = self.grid
+        self._cells.set_grid(grid)
+        if grid != before and self.config.learn_deformation:
             self._tables["corners"] = KeyedTable({"delta": self.config.deformation_rate})
-        self._grid = grid
 
-    def set_boxes(self, boxes: Sequence[RefineBox]) -> None:
-        wanted_levels(self._grid, boxes)
-        self._boxes = tuple(boxes)
-
-    def set_worth(self, worth: LevelMap | None) -> None:
-        self._worth = worth
-
-    def hold_outside(
-        self, boxes: Sequence[RefineBox], surface: tuple[SdfFunction, Int64[Tensor, " s"]] | None = None
-    ) -> None:
-        hold = Hold(
-            roots_under(self._grid, self._worth), boxes, tuple(self._weight_sizes) if self.config.learn_weights else ()
+    @torch.no_grad()
+    def surface_to_hold(self, sdf: SdfFunction, seeds: Int64[Tensor, " s"]) -> HeldSurface:
+        band = self._follow(sdf, seeds)
+        return HeldSurface(
+            corners=band.corners,
+            positions=band.corner_positions,
+            sdf=band.corner_sdf,
+            cells=band.cells,
+            weights=self._cell_weights(band.cells),
+            distance=sdf,
         )
-        if surface is not None:
-            with torch.no_grad():
-                band = self._follow(*surface)
-                held = HeldSurface(
-                    corners=band.corners,
-                    positions=band.corner_positions,
-                    sdf=band.corner_sdf,
-                    cells=band.cells,
-                    weights=self._cell_weights(band.cells),
-                )
-                hold.fill(held, surface[0])
-        self._hold = hold
 
     def extract(self, sdf: SdfFunction, seeds: Int64[Tensor, " s"]) -> Extraction:
         band = self._follow(sdf, seeds)
@@ -121,10 +98,10 @@ class FlexiCubes(RefiningExtractor):
         if isinstance(band, OctreeBand):
             found = octree_surface(band, split, *weights.positive(), damp_grazing=damp)
         else:
-            found = grid_surface(band, self._grid.cell, split, *weights.positive(), damp_grazing=damp)
+            found = grid_surface(band, self.grid.cell, split, *weights.positive(), damp_grazing=damp)
         return Extraction(
             surface=found.surface,
-            grid=self._grid,
+            grid=self.grid,
             cells=band.cells,
             cell_corners=band.cell_corners,
             corner_positions=band.corner_positions,
@@ -135,23 +112,9 @@ class FlexiCubes(RefiningExtractor):
         )
 
     def _follow(self, sdf: SdfFunction, seeds: Int64[Tensor, " s"]) -> Band | OctreeBand:
-        """The band of the surface: plain where all cells are alike."""
         if self.config.learn_deformation:
             self._prepare_deformation(seeds)
-
-        def sample(corners: Tensor) -> tuple[Tensor, Tensor]:
-            positions = self._corner_positions(corners)
-            return positions, sdf(positions)
-
-        roots = roots_under(self._grid, self._worth)
-        wanted = wanted_levels(self._grid, self._boxes, self._worth)
-        if self._hold is not None:
-            return grow_octree(self._hold.sampler(sample), roots, self._hold.seeds(seeds, wanted), wanted)
-        if self._boxes or self._worth is not None:
-            return grow_octree(sample, roots, coarsen(roots, seeds, wanted), wanted)
-        band = track(sample, self._grid, seeds, self._before)
-        self._before = band.detach()
-        return band
+        return self._cells.band(self._cells.sampler(self._corner_positions, sdf), seeds)
 
     def _cell_weights(self, cells: Int64[Tensor, " c"]) -> Mapping[str, Float[Tensor, "c w"]]:
         """Raw weights of the cells, by name. New ones take over from those they lie in or hold, or start neutral."""
@@ -164,7 +127,7 @@ class FlexiCubes(RefiningExtractor):
                 for name, size in self._weight_sizes.items()
             }
             table.rekey(cells, neutral, heirs(table.keys, cells) if len(table) > 0 else None)
-        return table.leaves if self._hold is None else self._hold.weights(cells, table.leaves)
+        return self._cells.weights(cells, table.leaves)
 
     def _prepare_deformation(self, seeds: Int64[Tensor, " s"]) -> None:
         """Give every corner of the seeds, which are the cells of the last band, a row.
@@ -173,18 +136,18 @@ class FlexiCubes(RefiningExtractor):
         and gets its row in the next extraction.
         """
         table = self._tables["corners"]
-        corners, rows = torch.unique(corner_keys(self._grid, seeds), return_inverse=True)
+        corners, rows = torch.unique(corner_keys(self.grid, seeds), return_inverse=True)
         level = torch.zeros_like(corners).scatter_reduce(
             0, rows.reshape(-1), levels_of(seeds).repeat_interleave(8), "amax"
         )
-        self._corner_reach = self._grid.base_cell * torch.pow(0.5, level.to(self._dtype))
+        self._corner_reach = self.grid.base_cell * torch.pow(0.5, level.to(self._dtype))
         if not _same_keys(table.keys, corners):
             table.rekey(corners, {"delta": torch.zeros(len(corners), 3, dtype=self._dtype, device=self._device)})
 
     def _corner_positions(self, corners: Int64[Tensor, " m"]) -> Float[Tensor, "m 3"]:
         """Where corners, of the grid or of an octree over it, are; deltas are kept by the latter's keys."""
-        finest = self._grid.at_level(vertex_level(self._grid))
-        ijk = unpack_ijk(corners) << (finest.level - levels_of(corners))[:, None]
+        finest = self.grid.at_level(vertex_level(self.grid))
+        ijk = vertex_ijk(self.grid, corners)
         positions = finest.corner_positions(ijk, self._dtype)
         if not self.config.learn_deformation:
             return positions

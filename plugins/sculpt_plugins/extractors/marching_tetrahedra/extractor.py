@@ -1,18 +1,16 @@
 """The ``marching-tetrahedra`` extractor."""
 
-from collections.abc import Sequence
-
 import torch
 from jaxtyping import Float, Int64
 from torch import Tensor
 
 from sculpt_framework.extractors import Extraction, RefiningExtractor
-from sculpt_framework.geometry.band import LEAST_DROP, Band, CornerSampler, crossing_weight, levels_of, track
-from sculpt_framework.geometry.grid import Grid, RefineBox, unpack_ijk
-from sculpt_framework.geometry.octree import vertex_level
-from sculpt_framework.geometry.octree_band import OctreeBand, grow_octree
-from sculpt_framework.geometry.octree_hold import HeldSurface, Hold
-from sculpt_framework.geometry.octree_policy import LevelMap, coarsen, roots_under, wanted_levels
+from sculpt_framework.geometry.band import LEAST_DROP, Band, CornerSampler, crossing_weight
+from sculpt_framework.geometry.cell_policy import CellPolicy
+from sculpt_framework.geometry.grid import Grid
+from sculpt_framework.geometry.octree import vertex_ijk, vertex_level
+from sculpt_framework.geometry.octree_band import OctreeBand
+from sculpt_framework.geometry.octree_hold import HeldSurface
 from sculpt_framework.geometry.signed_distance import SdfFunction
 from sculpt_framework.keyed import KeyedTable
 from sculpt_framework.types import Surface
@@ -28,78 +26,37 @@ class MarchingTetrahedra(RefiningExtractor):
     """
 
     def __init__(self, grid: Grid, dtype: torch.dtype):
-        self._grid = grid
-        self._boxes: tuple[RefineBox, ...] = ()
-        self._worth: LevelMap | None = None
-        self._hold: Hold | None = None
-        self._before: Band | None = None
-        """That of the latest surface, from which the next is found sooner."""
+        self._cells = CellPolicy(grid)
         self._dtype = dtype
 
     @property
-    def grid(self) -> Grid:
-        return self._grid
+    def cells(self) -> CellPolicy:
+        return self._cells
 
     @property
     def tables(self) -> dict[str, KeyedTable]:
-        return {} if self._hold is None else self._hold.tables
+        return self._cells.tables
 
     def set_grid(self, grid: Grid) -> None:
-        if grid.at_level(0) != self._grid.at_level(0):
-            raise ValueError("set_grid changes the level of a grid, not its box")
-        if self._hold is not None and grid != self._grid:
-            raise ValueError("the grid of a surface that is held stays what it is")
-        wanted_levels(grid, self._boxes)
-        self._grid = grid
+        self._cells.set_grid(grid)
 
-    def set_boxes(self, boxes: Sequence[RefineBox]) -> None:
-        wanted_levels(self._grid, boxes)
-        self._boxes = tuple(boxes)
-
-    def set_worth(self, worth: LevelMap | None) -> None:
-        self._worth = worth
-
-    def hold_outside(
-        self, boxes: Sequence[RefineBox], surface: tuple[SdfFunction, Int64[Tensor, " s"]] | None = None
-    ) -> None:
-        hold = Hold(roots_under(self._grid, self._worth), boxes)
-        if surface is not None:
-            sdf, seeds = surface
-            with torch.no_grad():
-                sample = self._sampler(sdf)
-                band = self._follow(sample, seeds)
-                corners, positions, values = band.corners, band.corner_positions, band.corner_sdf
-                if isinstance(band, OctreeBand):
-                    corners, positions, values = with_centers(band, sample)
-                held = HeldSurface(corners=corners, positions=positions, sdf=values, cells=band.cells, weights={})
-                hold.fill(held, sdf)
-        self._hold = hold
+    @torch.no_grad()
+    def surface_to_hold(self, sdf: SdfFunction, seeds: Int64[Tensor, " s"]) -> HeldSurface:
+        sample = self._cells.sampler(self._places, sdf)
+        band = self._cells.band(sample, seeds)
+        corners, positions, values = band.corners, band.corner_positions, band.corner_sdf
+        if isinstance(band, OctreeBand):
+            corners, positions, values = with_centers(band, sample)
+        return HeldSurface(corners=corners, positions=positions, sdf=values, cells=band.cells, weights={}, distance=sdf)
 
     def extract(self, sdf: SdfFunction, seeds: Int64[Tensor, " s"]) -> Extraction:
-        sample = self._sampler(sdf)
-        band = self._follow(sample, seeds)
+        sample = self._cells.sampler(self._places, sdf)
+        band = self._cells.band(sample, seeds)
         return self._of_octree(band, sample) if isinstance(band, OctreeBand) else self._of_grid(band)
 
-    def _sampler(self, sdf: SdfFunction) -> CornerSampler:
-        def sample(vertices: Tensor) -> tuple[Tensor, Tensor]:
-            finest = self._grid.at_level(vertex_level(self._grid))
-            ijk = unpack_ijk(vertices) << (finest.level - levels_of(vertices))[:, None]
-            positions = finest.corner_positions(ijk, self._dtype)
-            return positions, sdf(positions)
-
-        return sample if self._hold is None else self._hold.sampler(sample)
-
-    def _follow(self, sample: CornerSampler, seeds: Int64[Tensor, " s"]) -> Band | OctreeBand:
-        """The band of the surface: plain where all cells are alike."""
-        roots = roots_under(self._grid, self._worth)
-        wanted = wanted_levels(self._grid, self._boxes, self._worth)
-        if self._hold is not None:
-            return grow_octree(sample, roots, self._hold.seeds(seeds, wanted), wanted)
-        if self._boxes or self._worth is not None:
-            return grow_octree(sample, roots, coarsen(roots, seeds, wanted), wanted)
-        band = track(sample, self._grid, seeds, self._before)
-        self._before = band.detach()
-        return band
+    def _places(self, vertices: Int64[Tensor, " n"]) -> Float[Tensor, "n 3"]:
+        finest = self.grid.at_level(vertex_level(self.grid))
+        return finest.corner_positions(vertex_ijk(self.grid, vertices), self._dtype)
 
     def _of_octree(self, band: OctreeBand, sample: CornerSampler) -> Extraction:
         keys, positions, values = with_centers(band, sample)
@@ -111,7 +68,7 @@ class MarchingTetrahedra(RefiningExtractor):
         vertices = edge_crossings(edge_positions, edge_sdf, edge_lengths(keys, cut.ends, band))
         return Extraction(
             surface=Surface(vertices=vertices, faces=cut.faces, face_keys=cut.face_keys),
-            grid=self._grid,
+            grid=self.grid,
             cells=band.cells,
             cell_corners=band.cell_corners,
             corner_positions=positions,
@@ -127,10 +84,10 @@ class MarchingTetrahedra(RefiningExtractor):
         edge_sdf = band.corner_sdf.index_select(0, flat).reshape(-1, 2)
         edge_positions = band.corner_positions.index_select(0, flat).reshape(-1, 2, 3)
         faces, face_keys = triangles(band, vertex_of_edge)
-        vertices = edge_crossings(edge_positions, edge_sdf, self._grid.cell)
+        vertices = edge_crossings(edge_positions, edge_sdf, self.grid.cell)
         return Extraction(
             surface=Surface(vertices=vertices, faces=faces, face_keys=face_keys),
-            grid=self._grid,
+            grid=self.grid,
             cells=band.cells,
             cell_corners=band.cell_corners,
             corner_positions=band.corner_positions,

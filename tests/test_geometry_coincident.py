@@ -75,7 +75,7 @@ def test_the_ends_of_a_short_edge_draw_apart_and_sheets_that_touch_part():
     apart = separate(short, faces)
     assert 1e-5 < np.linalg.norm(apart[a] - apart[b]) < 1e-2
     # Two balls that touch in a point: each draws back into itself.
-    two = np.concatenate([vertices, vertices + [2 * vertices[:, 0].max(), 0, 0]])
+    two = np.concatenate([vertices, vertices + np.array([2 * vertices[:, 0].max(), 0, 0])])
     apart = separate(two, np.concatenate([faces, faces + len(vertices)]))
     changed = np.flatnonzero((apart != two).any(axis=1))
     assert len(changed) == 2
@@ -84,7 +84,7 @@ def test_the_ends_of_a_short_edge_draw_apart_and_sheets_that_touch_part():
 
 def test_where_32_bit_floats_are_too_coarse_nothing_is_moved():
     vertices, faces = shape("ball")
-    far = vertices + 1e6
+    far = vertices + 1e8
     assert separate(far, faces) is far
     assert certify(far, faces).coincident_vertices > 0
 
@@ -98,6 +98,6 @@ def test_the_certificate_says_what_other_programs_find():
     assert not trimesh.Trimesh(vertices, faces).is_watertight
     # Two balls that touch in a point stay closed when it is one vertex.
     whole, _ = shape("ball")
-    two = np.concatenate([whole, whole + [2 * whole[:, 0].max(), 0, 0]])
+    two = np.concatenate([whole, whole + np.array([2 * whole[:, 0].max(), 0, 0])])
     found = certify(two, np.concatenate([faces, faces + len(whole)]))
     assert (found.coincident_vertices, found.watertight_merged) == (1, True)

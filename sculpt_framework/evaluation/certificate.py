@@ -12,7 +12,7 @@ from sculpt_framework.geometry import coincident, topology
 
 @dataclass(frozen=True, kw_only=True)
 class Certificate:
-    """Facts about a triangle mesh, taken as it is: vertices at the same place are merged for ``watertight_merged`` alone."""
+    """Facts about a triangle mesh as it is: only for ``watertight_merged`` vertices at the same place are merged."""
 
     vertices: int
     """Vertices that faces use."""

@@ -1,4 +1,4 @@
-"""Vertices at the same place: other programs merge them on reading, which opens a mesh that is closed by its indices."""
+"""Vertices at the same place, which other programs merge on reading: what was closed by its indices is open then."""
 
 import numpy as np
 from jaxtyping import Float64, Int64

@@ -105,7 +105,9 @@ def _read_frame_file(path: Path) -> SceneFrame:
         raise wrong
     if up is not None and not (isinstance(up, list) and len(up) == 3 and all(map(_is_number, up)) and any(up)):
         raise wrong
-    return SceneFrame(metres_per_unit=metres, up=up)
+    return SceneFrame(
+        metres_per_unit=None if metres is None else float(metres), up=None if up is None else [float(x) for x in up]
+    )
 
 
 def _is_number(value: object) -> bool:

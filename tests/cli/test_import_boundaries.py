@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from sculpt_plugins.builtin import BUILTIN
+from sculpt_plugins.builtin import BUILTIN, EXPORTERS
 
+REGISTERED = [value for table in (*BUILTIN.values(), EXPORTERS) for value in table.values()]
 ROOT = Path(__file__).parents[2]
 FRAMEWORK = ROOT / "sculpt_framework"
 PLUGINS = ROOT / "plugins" / "sculpt_plugins"
@@ -54,13 +55,13 @@ def loaded(statement: str) -> set[str]:
     return set(done.stdout.split())
 
 
-@pytest.mark.parametrize("module", ["train", "options", "exit_codes", "report"])
+@pytest.mark.parametrize("module", ["train", "options", "exit_codes", "report", "export"])
 def test_the_command_line_imports_nothing_heavy(module: str):
     assert not loaded(f"import sculpt_framework.cli.{module}") & set(HEAVY)
 
 
 def test_no_config_module_imports_anything_heavy():
-    modules = sorted({value.partition(":")[0] for table in BUILTIN.values() for value in table.values()})
+    modules = sorted({value.partition(":")[0] for value in REGISTERED})
     assert not loaded("\n".join(f"import {module}" for module in modules)) & set(HEAVY)
 
 
@@ -105,7 +106,7 @@ def test_plug_ins_import_no_other_plug_in_of_their_slot(folder: str):
 
 
 def test_every_plug_in_folder_is_in_the_table():
-    configs = {value.partition(":")[0] for table in BUILTIN.values() for value in table.values()}
+    configs = {value.partition(":")[0] for value in REGISTERED}
     found = {
         f"sculpt_plugins.{path.parent.parent.name}.{path.parent.name}.config" for path in PLUGINS.glob("*/*/config.py")
     }

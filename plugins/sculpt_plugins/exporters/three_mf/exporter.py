@@ -64,6 +64,6 @@ def encode_3mf(mesh: PlacedMesh, unit: str) -> bytes:
     return bytes(writer.WriteToBuffer())
 
 
-def _rows(kind: type[ctypes.Structure], values: np.ndarray) -> Sequence[ctypes.Structure]:
+def _rows(kind: type[ctypes.Structure], values: np.ndarray) -> ctypes.Array:
     """Rows of an array as the library's structures."""
     return (kind * len(values)).from_buffer_copy(values.tobytes())

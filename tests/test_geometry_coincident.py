@@ -53,6 +53,7 @@ def test_no_two_vertices_coincide_afterwards_at_any_scale(
     found = certify(apart * rescale, faces)
     assert found.coincident_vertices == 0
     assert found.watertight_merged
+    assert found.degenerate_faces == 0
     way = np.linalg.norm(apart - vertices, axis=1)
     assert (way[moved] > 0).sum() >= moved.sum() - 1
     assert way.max() < 0.02 * np.ptp(vertices, axis=0).max()

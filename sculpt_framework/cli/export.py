@@ -98,7 +98,7 @@ def _read(words: Sequence[str], name: str) -> tuple[ExportRequest, ExporterConfi
     request, unknown = tyro.cli(
         kind,
         args=_with_values_attached(words),
-        prog=f"{_PROGRAM}",
+        prog=_PROGRAM,
         description=inspect.getdoc(type(default)) or name,
         return_unknown_args=True,
         config=(tyro.conf.HelptextFromCommentsOff, tyro.conf.FlagCreatePairsOff),

@@ -5,7 +5,7 @@ import pytest
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from sculpt_framework.evaluation.certificate import certify
 from sculpt_framework.geometry.coincident import merged, separate
@@ -57,7 +57,7 @@ def test_no_two_vertices_coincide_afterwards_at_any_scale(
     way = np.linalg.norm(apart - vertices, axis=1)
     assert (way[moved] > 0).sum() >= moved.sum() - 1
     assert way.max() < 0.02 * np.ptp(vertices, axis=0).max()
-    near = cKDTree(vertices).query(vertices, k=2)[0][:, 1]
+    near = KDTree(vertices).query(vertices, k=2)[0][:, 1]
     assert (way[near > 1e-5 * np.abs(vertices).max()] == 0).all()
     np.testing.assert_array_equal(separate(apart, faces), apart)
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 from jaxtyping import Float64, Int64
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from sculpt_framework.geometry.topology import directed_edges
 
@@ -37,7 +37,7 @@ def separate(vertices: Float64[np.ndarray, "v 3"], faces: Int64[np.ndarray, "f 3
     random = np.random.default_rng(0)
     moved = points.copy()
     for attempt in range(_ATTEMPTS):
-        near, _ = cKDTree(moved).query(moved, k=2, distance_upper_bound=least)
+        near, _ = KDTree(moved).query(moved, k=2, distance_upper_bound=least)
         close = np.flatnonzero(np.isfinite(near[:, 1]))
         if len(close) == 0:
             break

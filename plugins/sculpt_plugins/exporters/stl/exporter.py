@@ -3,6 +3,7 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
+from trimesh.exchange.stl import export_stl
 
 from sculpt_framework.export.atomic import write_atomically
 from sculpt_framework.export.placing import FileFrame, place
@@ -18,6 +19,5 @@ class StlExporter(Exporter):
         mesh = place(run_dir, self._config, FileFrame(up="z", unit="mm", needs_size=True), self._config.unit)
         # Rounded before, so that the normals are of the triangles that are written.
         shape = trimesh.Trimesh(mesh.vertices.astype(np.float32), mesh.faces, process=False)
-        content = shape.export(file_type="stl")
-        write_atomically(out, content)
+        write_atomically(out, export_stl(shape))
         return [str(out), *mesh.facts()]

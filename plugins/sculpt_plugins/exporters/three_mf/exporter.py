@@ -1,6 +1,7 @@
 import ctypes
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -38,7 +39,8 @@ def encode_3mf(mesh: PlacedMesh, unit: str) -> bytes:
     """The file: one object, a colour per corner."""
     from lib3mf import Lib3MF, get_wrapper
 
-    wrapper = get_wrapper()
+    # Its functions have no types.
+    wrapper: Any = get_wrapper()
     model = wrapper.CreateModel()
     units = Lib3MF.ModelUnit
     model.SetUnit({"mm": units.MilliMeter, "cm": units.CentiMeter, "m": units.Meter, "in": units.Inch}[unit])

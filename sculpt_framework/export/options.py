@@ -40,9 +40,14 @@ class MeshExporterConfig(ExporterConfig, ABC):
     """Cut off the lowest 0.5 mm (without a real size 0.5 % of the height) and close the mesh with a flat face."""
 
     @property
+    def needs_up(self) -> bool:
+        """Whether an option speaks of what is up and what is below."""
+        return self.up is not None or self.origin != "world" or self.flat_base
+
+    @property
     def is_placed(self) -> bool:
         """Whether something else than the scene's own frame is asked for."""
-        return self.size is not None or self.up is not None or self.origin != "world" or self.flat_base
+        return self.needs_up or self.size is not None
 
     def stem(self, *parts: str) -> str:
         """A file name without ending that says what was asked for."""

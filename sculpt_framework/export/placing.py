@@ -70,7 +70,9 @@ class PlacedMesh:
         sides = " x ".join(f"{side:.4g}" for side in np.ptp(self.vertices[self.faces].reshape(-1, 3), axis=0))
         if found.watertight_merged and found.outward:
             closed = "watertight"
-        elif found.coincident_vertices:
+        elif found.watertight_merged:
+            closed = "closed, but not turned outwards"
+        elif found.watertight:
             closed = f"{found.coincident_vertices} vertices coincide in 32-bit floats; try --origin bottom-center"
         else:
             closed = f"not watertight: {found.boundary_edges} edges with one face"
@@ -85,12 +87,14 @@ def place(run_dir: Path, config: MeshExporterConfig, frame: FileFrame, unit: Uni
     where the mesh cannot be simplified or cut and stay closed.
     """
     given, mesh = read_frame(run_dir), read_mesh(run_dir)
-    up, notes = _up(config, given)
-    stands = config.up is not None or config.flat_base or config.origin != "world"
-    target_up = np.eye(3)["xyz".index(frame.up)]
-    turn = rotation_between(up, target_up) if frame.turned or stands else np.eye(3)
-    if not (frame.turned or stands):
-        notes = []
+    up, file_up = up_vector(config.up, given), np.eye(3)["xyz".index(frame.up)]
+    turned = frame.turned or config.needs_up
+    notes = []
+    if up is None:
+        up = np.array([0.0, 0.0, 1.0])
+        if turned:
+            notes.append("z of the scene is taken for up; --up says otherwise (COLMAP often: -Y)")
+    turn = rotation_between(up, file_up) if turned else np.eye(3)
     scale = _scale(mesh.vertices @ turn.T, config, given, unit, frame.unit)
     base = None
     if config.flat_base:
@@ -103,9 +107,9 @@ def place(run_dir: Path, config: MeshExporterConfig, frame: FileFrame, unit: Uni
     vertices = vertices * scale.factor
     if config.origin == "bottom-center":
         low, high = vertices.min(axis=0), vertices.max(axis=0)
-        vertices = vertices - np.where(target_up > 0, low, 0.5 * (low + high))
+        vertices = vertices - np.where(file_up > 0, low, 0.5 * (low + high))
     if scale.metres is None and frame.needs_size:
-        notes = [*notes, "no real size is known, so the numbers are the scene's own; --size 80mm gives it one"]
+        notes.append("no real size is known, so the numbers are the scene's own; --size 80mm gives it one")
     return PlacedMesh(
         world=mesh,
         vertices=separate(np.ascontiguousarray(vertices), mesh.faces),
@@ -135,13 +139,6 @@ def rotation_between(start: Float64[np.ndarray, " 3"], end: Float64[np.ndarray, 
     a, b, c = np.cross(start, end)
     skew = np.array([[0, -c, b], [c, 0, -a], [-b, a, 0]])
     return np.eye(3) + skew + skew @ skew / (1 + cosine)
-
-
-def _up(config: MeshExporterConfig, frame: SceneFrame) -> tuple[Float64[np.ndarray, " 3"], list[str]]:
-    known = up_vector(config.up, frame)
-    if known is not None:
-        return known, []
-    return np.array([0.0, 0.0, 1.0]), ["z of the scene is taken for up; --up says otherwise (COLMAP often: -Y)"]
 
 
 @dataclass(frozen=True, kw_only=True)

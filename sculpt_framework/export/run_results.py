@@ -11,6 +11,7 @@ import numpy as np
 from sculpt_framework.engine.run import read_config
 from sculpt_framework.engine.saving import CONFIG_NAME, MESH_NAME
 from sculpt_framework.errors import CheckpointError, DataError
+from sculpt_framework.evaluation.mesh import Mesh
 from sculpt_framework.export.drawn_mesh import GREY
 from sculpt_framework.export.mesh_files import Colors, Faces, Vertices, read_colored_mesh
 from sculpt_framework.types import Scene
@@ -51,8 +52,15 @@ def result_file(run_dir: Path, name: str) -> Path:
 
 
 def read_mesh(run_dir: Path) -> ColoredMesh:
-    """The result, in the scene's frame. Raises CheckpointError where there is none, DataError."""
-    vertices, faces, colors = read_colored_mesh(result_file(run_dir, MESH_NAME))
+    """The result, in the scene's frame. Raises CheckpointError where there is none, DataError where it is no mesh."""
+    path = result_file(run_dir, MESH_NAME)
+    vertices, faces, colors = read_colored_mesh(path)
+    if len(faces) == 0:
+        raise DataError(f"{path} has no triangles; there is nothing to export.")
+    try:
+        Mesh(vertices=vertices, faces=faces)
+    except ValueError as error:
+        raise DataError(f"{path} is not a valid mesh: {error}") from error
     return ColoredMesh(vertices=vertices, faces=faces, colors=colors)
 
 

@@ -271,6 +271,18 @@ def test_an_open_mesh_is_exported_and_said_to_be_open(run_dir: Path, capsys: pyt
         run(run_dir, "--format", "stl", "--size", "80mm", "--flat-base")
 
 
+@pytest.mark.parametrize("kind", ["stl", "ply"])
+def test_a_mesh_that_is_none(kind: str, run_dir: Path):
+    vertices, faces = np.array(cone().vertices), np.array(cone().faces, np.int64)
+    write_mesh_ply(run_dir / "mesh.ply", np.where(vertices == vertices.max(), np.nan, vertices), faces)
+    with pytest.raises(DataError, match=r"mesh\.ply is not a valid mesh: [0-9]+ vertices are not finite"):
+        run(run_dir, "--format", kind, "--out", run_dir / f"a.{kind}")
+    write_mesh_ply(run_dir / "mesh.ply", vertices, faces[:0])
+    with pytest.raises(DataError, match=r"mesh\.ply"):
+        run(run_dir, "--format", kind, "--out", run_dir / f"a.{kind}")
+    assert [path.name for path in run_dir.iterdir()] == ["mesh.ply"]
+
+
 def test_words():
     assert (parse_length("80mm").value, parse_length("80mm").unit) == (80, "mm")
     assert (parse_length(" 1e-1 m").value, parse_length("3.5").unit) == (0.1, None)

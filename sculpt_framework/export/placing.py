@@ -76,6 +76,8 @@ class PlacedMesh:
             closed = f"{found.coincident_vertices} vertices coincide in 32-bit floats; try --origin bottom-center"
         else:
             closed = f"not watertight: {found.boundary_edges} edges with one face"
+        if found.components > 1:
+            closed = f"{closed}, {found.components} pieces"
         unit = "scene units" if self.unit is None else self.unit
         return [f"{found.faces} faces, {sides} {unit}, {closed}", *self.notes]
 

@@ -224,6 +224,12 @@ def test_what_nobody_knows_is_said(run_dir: Path, capsys: pytest.CaptureFixture[
     assert capsys.readouterr().out.splitlines()[1].endswith("80 mm, watertight")
 
 
+def test_pieces_are_counted(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    both = trimesh.util.concatenate([cone(), cone().apply_translation([5, 0, 0])])
+    run(write_run(tmp_path / "run", both), "--format", "stl", "--size", "80mm")
+    assert "mm, watertight, 2 pieces\n" in capsys.readouterr().out
+
+
 def test_coincident_vertices_of_a_run_are_parted(tmp_path: Path):
     shape = cone()
     face = shape.faces[20]

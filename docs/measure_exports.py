@@ -80,7 +80,8 @@ def plain_cells(folder: Path, run: FinishedRun, splats: float) -> str:
 
 def textured_cells(folder: Path, run: FinishedRun, splats: float, out: Path, *words: str) -> str:
     """Faces, peak signal-to-noise ratio (mean over the test views), size and seconds of a textured GLB."""
-    seconds = export(folder, out, "--format", "glb", "--texture", *words)
+    # With y for up nothing is turned: the mesh stays where the run's cameras look.
+    seconds = export(folder, out, "--format", "glb", "--texture", "--up", "Y", *words)
     mesh = read_textured(out)
     found = mean_psnr(run, lambda camera: paint(mesh.vertices, mesh.faces, mesh, camera))
     return f"{len(mesh.faces)} | {found:.2f} | {found - splats:+.2f} | {out.stat().st_size / 2**20:.1f} | {seconds:.0f}"

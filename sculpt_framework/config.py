@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from sculpt_framework.constraints import Constraint
     from sculpt_framework.datasets import Dataset
     from sculpt_framework.engine.progress import Saved
+    from sculpt_framework.exporters import Exporter
     from sculpt_framework.extractors import Extractor
     from sculpt_framework.fields import Field
     from sculpt_framework.geometry.grid import Grid
@@ -112,6 +113,21 @@ class ObserverConfig(ComponentConfig, ABC):
     def check_start(self) -> None:
         """Raise SculptError if it cannot be built, as far as is known before anything is read or written."""
         return
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExporterConfig(ComponentConfig, ABC):
+    """Of a format of ``sculpt-export``: no part of a run, but chosen by name and registered as parts are."""
+
+    @property
+    @abstractmethod
+    def file_name(self) -> str:
+        """Of the file in the run directory, where the user names none. The run's own are mesh.ply, mesh.glb and
+        gaussians.ply."""
+
+    @abstractmethod
+    def build(self) -> "Exporter":
+        """Raises ConfigError for options that do not go together: nothing has been read or written by then."""
 
 
 @dataclass(frozen=True, kw_only=True)

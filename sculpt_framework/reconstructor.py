@@ -118,7 +118,8 @@ class Reconstructor(ABC):
 
     @abstractmethod
     def mesh(self) -> Mesh:
-        """The surface now: closed, outward-oriented, world frame. May be asked for often."""
+        """The surface now: closed, outward-oriented, no two vertices at the same place (``geometry.coincident``), world
+        frame. May be asked for often."""
 
     @abstractmethod
     def state(self) -> dict[str, Tensor]:

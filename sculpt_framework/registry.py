@@ -1,8 +1,8 @@
-"""Which components and methods there are, by name; none is imported before it is asked for.
+"""Which components, methods and export formats there are, by name; none is imported before it is asked for.
 
 Two sources: the table of built-ins (``sculpt_plugins/builtin.py``) and the entry points of installed packages, one
-group per slot (``sculpt_framework.fields`` and so on) and ``sculpt_framework.methods``. A package that is broken, or
-that takes a name another one has, disturbs nothing until that name is chosen.
+group per slot (``sculpt_framework.fields`` and so on), ``sculpt_framework.methods`` and ``sculpt_framework.exporters``.
+A package that is broken, or that takes a name another one has, disturbs nothing until that name is chosen.
 """
 
 import difflib
@@ -19,6 +19,7 @@ from sculpt_framework.config import (
     ComponentConfig,
     ConstraintConfig,
     DatasetConfig,
+    ExporterConfig,
     ExtractorConfig,
     FieldConfig,
     InitializerConfig,
@@ -28,7 +29,7 @@ from sculpt_framework.config import (
     RasterizerConfig,
 )
 from sculpt_framework.errors import ComponentImportError, ConfigError, UnknownComponentError
-from sculpt_plugins.builtin import BUILTIN, METHODS
+from sculpt_plugins.builtin import BUILTIN, EXPORTERS, METHODS
 
 OWN_PACKAGE = "gaussian-sculpting"
 GROUPS = "sculpt_framework"
@@ -69,6 +70,9 @@ SLOTS: Mapping[str, Slot] = {
         Slot(name="observers", one="observer", base=ObserverConfig, many=True),
     )
 }
+
+_EXPORTER = Slot(name="exporter", one="export format", base=ExporterConfig)
+"""No place in the pipeline: it comes after a run."""
 
 
 def slots_of(kind: type[MethodConfig]) -> Mapping[str, Slot]:
@@ -116,34 +120,22 @@ def load(slot: str, name: str) -> type[ComponentConfig]:
 
     Raises UnknownComponentError, or ComponentImportError where its package is broken or the name is taken twice.
     """
-    place = SLOTS[slot]
-    candidate = _choose(_candidates(place.group, BUILTIN[slot]), name, place.one)
-    found = candidate.load(place.one)
-    if not (isinstance(found, type) and issubclass(found, place.base) and is_dataclass(found)):
-        raise ComponentImportError(
-            f"{place.one} {candidate.name!r} of package {candidate.package!r}: {candidate.value!r} is not a dataclass "
-            f"derived from {place.base.__name__}."
-        )
-    try:
-        get_type_hints(found)
-    except NameError as error:
-        raise ComponentImportError(
-            f"{place.one} {candidate.name!r} of package {candidate.package!r}: the type of a field of {found.__name__} "
-            f"is not there at run time ({error}). Import it outside of TYPE_CHECKING."
-        ) from error
-    return found
+    return _load(SLOTS[slot], BUILTIN[slot], name)
 
 
 def default(slot: str, name: str) -> ComponentConfig:
     """The component's config as it is when nothing is set. Raises what ``load`` raises."""
-    kind = load(slot, name)
-    try:
-        return kind()
-    except TypeError as error:
-        raise ComponentImportError(
-            f"{SLOTS[slot].one} {name!r}: {kind.__module__}.{kind.__qualname__}() failed ({error}). Every field needs "
-            "a default, and build() must be written."
-        ) from error
+    return _default(SLOTS[slot], BUILTIN[slot], name)
+
+
+def export_formats() -> tuple[str, ...]:
+    """Names of all export formats, in the order of ``names``."""
+    return tuple(_candidates(_EXPORTER.group, EXPORTERS))
+
+
+def default_exporter(name: str) -> ExporterConfig:
+    """The export format's config as it is when nothing is set. Raises what ``load`` raises."""
+    return cast(ExporterConfig, _default(_EXPORTER, EXPORTERS, name))
 
 
 def slot_of(config: ComponentConfig) -> Slot:
@@ -195,6 +187,35 @@ def spelled(name: str, known: Iterable[str]) -> str | None:
 def closest(name: str, known: Iterable[str]) -> str | None:
     """The known name that ``name`` is most likely a slip of, if any is close."""
     return next(iter(difflib.get_close_matches(name, tuple(known), n=1, cutoff=0.6)), None)
+
+
+def _load(place: Slot, table: Mapping[str, str], name: str) -> type[ComponentConfig]:
+    candidate = _choose(_candidates(place.group, table), name, place.one)
+    found = candidate.load(place.one)
+    if not (isinstance(found, type) and issubclass(found, place.base) and is_dataclass(found)):
+        raise ComponentImportError(
+            f"{place.one} {candidate.name!r} of package {candidate.package!r}: {candidate.value!r} is not a dataclass "
+            f"derived from {place.base.__name__}."
+        )
+    try:
+        get_type_hints(found)
+    except NameError as error:
+        raise ComponentImportError(
+            f"{place.one} {candidate.name!r} of package {candidate.package!r}: the type of a field of {found.__name__} "
+            f"is not there at run time ({error}). Import it outside of TYPE_CHECKING."
+        ) from error
+    return found
+
+
+def _default(place: Slot, table: Mapping[str, str], name: str) -> ComponentConfig:
+    kind = _load(place, table, name)
+    try:
+        return kind()
+    except TypeError as error:
+        raise ComponentImportError(
+            f"{place.one} {name!r}: {kind.__module__}.{kind.__qualname__}() failed ({error}). Every field needs "
+            "a default, and build() must be written."
+        ) from error
 
 
 def _choose(candidates: Mapping[str, tuple[Candidate, ...]], name: str, what: str) -> Candidate:

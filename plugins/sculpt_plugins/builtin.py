@@ -71,3 +71,15 @@ METHODS: dict[str, str] = {
     "gaussian-sculpting-paper": "sculpt_methods.paper:gaussian_sculpting_paper",
     "gaussian-sculpting-tiny": "sculpt_methods.sculpting:gaussian_sculpting_tiny",
 }
+
+EXPORTERS: dict[str, str] = {
+    "ply": "sculpt_plugins.exporters.ply.config:PlyExporterConfig",
+    "obj": "sculpt_plugins.exporters.obj.config:ObjExporterConfig",
+    "glb": "sculpt_plugins.exporters.glb.config:GlbExporterConfig",
+    "stl": "sculpt_plugins.exporters.stl.config:StlExporterConfig",
+    "3mf": "sculpt_plugins.exporters.three_mf.config:ThreeMfExporterConfig",
+    "gaussians": "sculpt_plugins.exporters.gaussians.config:GaussiansExporterConfig",
+    "turntable": "sculpt_plugins.exporters.turntable.config:TurntableExporterConfig",
+    "maps": "sculpt_plugins.exporters.maps.config:MapsExporterConfig",
+    "html": "sculpt_plugins.exporters.html.config:HtmlExporterConfig",
+}

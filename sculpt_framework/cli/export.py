@@ -1,56 +1,34 @@
-"""``sculpt-export``: the results of a run in the format another program wants."""
+"""``sculpt-export``: the results of a run in the format another program wants.
 
+Formats are plug-ins: ``--format`` names one, and its config's fields are the options there are beside it.
+"""
+
+import inspect
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields, make_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Any
 
 import tyro
 
+from sculpt_framework import registry
 from sculpt_framework.cli import exit_codes
-from sculpt_framework.command_line.options import Flag
-from sculpt_framework.errors import CheckpointError, ConfigError
+from sculpt_framework.config import ExporterConfig
+from sculpt_framework.errors import ConfigError, SculptError
 
-if TYPE_CHECKING:
-    import numpy as np
-
-    from sculpt_framework.export.assets import TexturedMesh
-    from sculpt_framework.types import Scene
-
-_ENDINGS = {"gaussians": ".ply", "turntable": ".gif"}
+_PROGRAM = "sculpt-export"
+_FORMAT = "--format"
 
 
 @dataclass(frozen=True, kw_only=True)
 class ExportRequest:
-    """Write the mesh or the Gaussians of a run, or pictures of the mesh."""
-
     run_dir: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN_DIR")]
     """Run directory."""
-    format: Literal["obj", "ply", "glb", "gaussians", "turntable", "maps", "html"]
-    """obj, ply, glb: the mesh with vertex colours. gaussians: PLY as 3DGS has it, for splat viewers. turntable: GIF or
-    MP4. maps: depths and normals from the cameras of the run, a folder. html: a page that plays how the surface came to
-    be, from the steps a viewer recorded, also of a run that has not finished."""
+    format: Annotated[str, tyro.conf.arg(metavar="FORMAT", help_behavior_hint="")]
+    """Another format has other options: sculpt-export --help lists them all."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
-    """File to write. Default: mesh.FORMAT, gaussians.ply, turntable.gif or maps in the run directory."""
-    target_faces: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")] = None
-    """Simplify the mesh to at most so many faces; it stays closed."""
-    texture: Flag = False
-    """glb, obj, turntable: a texture baked from the photographs of the run, instead of vertex colours."""
-    texture_size: Annotated[int, tyro.conf.arg(metavar="TEXELS")] = 2048
-    """About how wide and high the texture is."""
-    attributes: Flag = False
-    """ply: also normals, how many photographs show a vertex, and at which angle the best of them does."""
-    data: Annotated[str | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
-    """Where the photographs are, if not where the run found them."""
-    cameras: Literal["train", "test"] = "train"
-    """maps: whose cameras."""
-    frames: Annotated[int, tyro.conf.arg(metavar="N")] = 60
-    """turntable: pictures in a turn."""
-    size: Annotated[int, tyro.conf.arg(metavar="PIXELS")] = 480
-    """turntable: side of a picture."""
-    up: Literal["x", "y", "z", "-x", "-y", "-z"] = "z"
-    """turntable: the direction that is up; COLMAP's models often have -y."""
+    """What to write. Default: a file in the run directory, named after what is asked for."""
 
 
 def main() -> None:
@@ -60,194 +38,121 @@ def main() -> None:
 
 def export(words: Sequence[str]) -> None:
     """Write the file and say where it is. Raises SculptError; exits as tyro does for ``--help``."""
-    request = tyro.cli(ExportRequest, args=words, prog="sculpt-export")
-    _check(request)
-    if request.format == "html":
-        _write_html(request)
-        return
-    name = "gaussians.ply" if request.format == "gaussians" else "mesh.ply"
-    source = request.run_dir / name
-    if not source.is_file():
-        raise CheckpointError(
-            f"{request.run_dir} has no {name}: not a run directory, or a run that has not finished;"
-            f" sculpt-train --resume {request.run_dir} goes on with it."
-        )
-    out = request.out or _default_place(request)
-    for line in _write(source, request, out):
+    name = _format_named(words)
+    if name is None:
+        if not words or "--help" in words or "-h" in words:
+            sys.stdout.write(overview())
+            return
+        raise ConfigError(f"--format is missing; there are {', '.join(registry.export_formats())}.")
+    request, config = _read(words, name)
+    exporter = config.build()
+    for line in exporter.write(request.run_dir, request.out or request.run_dir / config.file_name):
         sys.stdout.write(f"{line}\n")
 
 
-def _write_html(request: ExportRequest) -> None:
-    from sculpt_framework.viewing.html import write_html
-
-    out = request.out or request.run_dir / "evolution.html"
-    steps = write_html(request.run_dir, out)
-    sys.stdout.write(f"{out}\n")
-    if steps == 1:
-        sys.stdout.write("note: one state only; a run with --viewer records the steps on its way.\n")
+def overview() -> str:
+    """The text of ``sculpt-export --help``."""
+    formats = registry.export_formats()
+    width = max(map(len, formats)) + 2
+    listed = "\n".join(f"  {name:{width}}{_first_sentence(name)}" for name in formats)
+    return _OVERVIEW.format(formats=listed)
 
 
-def _default_place(request: ExportRequest) -> Path:
-    if request.format == "maps":
-        return request.run_dir / "maps"
-    stem = request.format if request.format in _ENDINGS else "mesh"
-    # mesh.ply and mesh.glb are the run's own: an export of another kind gets a name of its own.
-    parts = [stem]
-    if request.target_faces is not None:
-        parts.append(str(request.target_faces))
-    if request.texture:
-        parts.append("textured")
-    if request.attributes:
-        parts.append("attributes")
-    return request.run_dir / ("-".join(parts) + _ENDINGS.get(request.format, f".{request.format}"))
+_OVERVIEW = """\
+usage: sculpt-export RUN_DIR --format FORMAT [--out FILE] [options]
+
+The mesh or the Gaussians of a run, or pictures of the mesh, in the format another program wants.
+
+formats:
+{formats}
+
+sculpt-export --format FORMAT --help lists a format's options.
+"""
 
 
-def _check(request: ExportRequest) -> None:
-    """Raises ConfigError for options that do not go together."""
-    if request.texture and request.format not in ("glb", "obj", "turntable"):
-        raise ConfigError(f"--texture goes with --format glb, obj or turntable, not {request.format}.")
-    if request.attributes and request.format != "ply":
-        raise ConfigError(f"--attributes goes with --format ply, not {request.format}.")
-    if request.target_faces is not None and request.format == "gaussians":
-        raise ConfigError("--target-faces is for the mesh; Gaussians lie on the faces of the whole one.")
-    if not 1 <= request.frames <= 3600:
-        raise ConfigError(f"--frames is {request.frames}; expected 1 to 3600.")
-    if not 16 <= request.size <= 4096:
-        raise ConfigError(f"--size is {request.size}; expected 16 to 4096 pixels.")
+def _format_named(words: Sequence[str]) -> str | None:
+    """What ``--format`` says. Raises ConfigError where it says nothing, or is given twice."""
+    found: list[str] = []
+    for index, word in enumerate(words):
+        option, equals, value = word.partition("=")
+        if option == _FORMAT:
+            found.append(value if equals else next(iter(words[index + 1 : index + 2]), ""))
+    if not found:
+        return None
+    if len(found) > 1:
+        raise ConfigError(f"--format is given twice: {' and '.join(found)}. One file at a time.")
+    if not found[0] or found[0].startswith("-"):
+        raise ConfigError(f"--format expects a name: {', '.join(registry.export_formats())}.")
+    return found[0]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Mesh:
-    """World frame."""
-
-    vertices: "np.ndarray"
-    faces: "np.ndarray"
-    colors: "np.ndarray | None"
-
-
-def _write(source: Path, request: ExportRequest, out: Path) -> list[str]:
-    """Write, and what to say about it, the file first."""
-    from sculpt_framework.export.atomic import write_atomically
-
-    plain = request.target_faces is None and not request.attributes
-    if request.format in ("ply", "gaussians") and plain:
-        if not (out.exists() and out.samefile(source)):
-            write_atomically(out, source.read_bytes())
-        return [str(out)]
-    mesh = _read(source, request.target_faces)
-    if request.format == "turntable":
-        return _write_turntable(mesh, request, out)
-    if request.format == "maps":
-        return _write_maps(mesh, request, out)
-    if request.texture:
-        return _write_textured(mesh, request, out)
-    if request.attributes:
-        return _write_attributes(mesh, request, out)
-    from sculpt_framework.export import mesh_files
-
-    writers = {
-        "obj": mesh_files.write_mesh_obj,
-        "glb": mesh_files.write_mesh_glb,
-        "ply": mesh_files.write_mesh_ply,
-    }
-    writers[request.format](out, mesh.vertices, mesh.faces, mesh.colors)
-    return [str(out)]
-
-
-def _read(source: Path, target_faces: int | None) -> _Mesh:
-    from sculpt_framework.export import mesh_files
-
-    vertices, faces, colors = mesh_files.read_colored_mesh(source)
-    if target_faces is not None:
-        from sculpt_framework.export.decimation import carry_over, decimate
-
-        few, faces_left = decimate(vertices, faces, target_faces)
-        if colors is not None and few is not vertices:
-            colors = carry_over(colors, vertices, faces, few)
-        vertices, faces = few, faces_left
-    return _Mesh(vertices=vertices, faces=faces, colors=colors)
-
-
-def _scene(request: ExportRequest) -> "Scene":
-    """The run's photographs and cameras. Raises CheckpointError where the run does not say which, DataError."""
-    from sculpt_framework.engine.run import read_config
-    from sculpt_framework.errors import DataError
-
-    config = read_config(request.run_dir)
-    try:
-        return config.dataset.build(request.data or config.data).load()
-    except DataError as error:
-        if request.data is not None:
-            raise
-        raise DataError(f"{error} The run was made from {config.data}; --data DIR says where it is now.") from None
-
-
-def _colors(mesh: _Mesh) -> "np.ndarray":
-    import numpy as np
-
-    return np.full(mesh.vertices.shape, 0.7) if mesh.colors is None else mesh.colors
-
-
-def _textured(mesh: _Mesh, request: ExportRequest) -> "TexturedMesh":
-    from sculpt_framework.export.assets import TexturedMesh
-    from sculpt_framework.export.texture import bake, unwrap
-
-    atlas = unwrap(mesh.vertices, mesh.faces, request.texture_size)
-    texture = bake(mesh.vertices, mesh.faces, atlas, _scene(request).train, _colors(mesh))
-    return TexturedMesh(vertices=mesh.vertices, faces=mesh.faces, atlas=atlas, texture=texture)
-
-
-def _write_textured(mesh: _Mesh, request: ExportRequest, out: Path) -> list[str]:
-    from sculpt_framework.export.assets import write_textured_glb, write_textured_obj
-
-    textured = _textured(mesh, request)
-    if request.format == "glb":
-        write_textured_glb(out, textured)
-        written = [out]
-    else:
-        written = write_textured_obj(out, textured)
-    unseen = 100 * (1 - textured.texture.seen_share)
-    size = f"{textured.atlas.width}x{textured.atlas.height}"
-    said = (
-        f"{len(mesh.faces)} faces, texture {size}; {unseen:.1f} % of it is in no photograph and has the mesh's colours"
+def _read(words: Sequence[str], name: str) -> tuple[ExportRequest, ExporterConfig]:
+    default = registry.default_exporter(name)
+    kind = make_dataclass(
+        "Request",
+        [("options", Annotated[type(default), tyro.conf.arg(name="")], field(default=default))],
+        bases=(ExportRequest,),
+        frozen=True,
+        kw_only=True,
     )
-    return [*(str(path) for path in written), said]
+    request, unknown = tyro.cli(
+        kind,
+        args=_with_values_attached(words),
+        prog=_PROGRAM,
+        description=inspect.getdoc(type(default)) or name,
+        return_unknown_args=True,
+        config=(tyro.conf.HelptextFromCommentsOff, tyro.conf.FlagCreatePairsOff),
+    )
+    if unknown:
+        raise ConfigError(_explain_unknown(unknown[0], name, default))
+    return request, request.options
 
 
-def _write_attributes(mesh: _Mesh, request: ExportRequest, out: Path) -> list[str]:
-    from sculpt_framework.export.assets import write_attribute_ply
-    from sculpt_framework.export.mesh_files import vertex_normals
-    from sculpt_framework.export.mesh_pixels import visibility
-
-    cameras = [view.camera for view in _scene(request).train]
-    normals = vertex_normals(mesh.vertices, mesh.faces)
-    seen = visibility(mesh.vertices, mesh.faces, normals, cameras)
-    write_attribute_ply(out, mesh.vertices, mesh.faces, _colors(mesh), seen)
-    unseen = int((seen.times_seen == 0).sum())
-    return [str(out), f"{unseen} of {len(mesh.vertices)} vertices are in no photograph: times_seen is 0 there"]
+def _with_values_attached(words: Sequence[str]) -> list[str]:
+    """``--up -Y`` as ``--up=-Y``: a value may begin with a dash."""
+    out: list[str] = []
+    for word in words:
+        if out and out[-1] == "--up" and not word.startswith("--"):
+            out[-1] = f"--up={word}"
+        else:
+            out.append(word)
+    return out
 
 
-def _write_turntable(mesh: _Mesh, request: ExportRequest, out: Path) -> list[str]:
-    from sculpt_framework.evaluation.pictures import color_picture
-    from sculpt_framework.export.pictures import paint, turntable_cameras, write_turntable
+def _explain_unknown(word: str, name: str, config: ExporterConfig) -> str:
+    if not word.startswith("-"):
+        return f"{word!r} belongs to no option; {_PROGRAM} takes one run directory. --help lists the options."
+    option = word.partition("=")[0].removeprefix("--").replace("_", "-")
+    others = [other for other in registry.export_formats() if option in _options(other)]
+    if others:
+        return f"--{option} goes with --format {_listed(others)}, not {name}."
+    near = registry.closest(option, ("out", "format", *_options_of(config)))
+    hint = f" Did you mean --{near}?" if near else ""
+    return f"--format {name} has no option --{option}.{hint} {_PROGRAM} --format {name} --help lists them."
 
-    colors = _textured(mesh, request) if request.texture else _colors(mesh)
-    cameras = turntable_cameras(mesh.vertices, request.up, request.frames, request.size)
-    pictures = (color_picture(paint(mesh.vertices, mesh.faces, colors, camera)) for camera in cameras)
-    # A turn takes four seconds, at a rate that players keep.
-    write_turntable(out, pictures, max(1, min(30, round(request.frames / 4))))
-    return [str(out)]
+
+def _options(name: str) -> tuple[str, ...]:
+    """Of a format; none if its package is broken: it was not asked for."""
+    try:
+        return _options_of(registry.default_exporter(name))
+    except SculptError:
+        return ()
 
 
-def _write_maps(mesh: _Mesh, request: ExportRequest, out: Path) -> list[str]:
-    from sculpt_framework.export.pictures import write_maps
+def _options_of(config: Any) -> tuple[str, ...]:
+    return tuple(each.name.replace("_", "-") for each in fields(config))
 
-    scene = _scene(request)
-    views = scene.train if request.cameras == "train" else scene.test
-    if not views:
-        raise ConfigError(f"the run has no {request.cameras} views; choose other --cameras.")
-    count = write_maps(out, mesh.vertices, mesh.faces, views)
-    return [str(out), f"depth/NAME.tiff and normal/NAME.png for {count} {request.cameras} views"]
+
+def _listed(names: Sequence[str]) -> str:
+    return " or ".join((", ".join(names[:-1]), names[-1])) if len(names) > 1 else names[0]
+
+
+def _first_sentence(name: str) -> str:
+    try:
+        text = inspect.getdoc(type(registry.default_exporter(name))) or ""
+        return " ".join(text.partition("\n\n")[0].split())
+    except SculptError as error:
+        return f"(not available: {error.__cause__ or error})"
 
 
 if __name__ == "__main__":

@@ -7,12 +7,12 @@ from jaxtyping import Float64, Int64
 
 from sculpt_framework.evaluation.mesh import Mesh
 from sculpt_framework.evaluation.self_intersections import count_self_intersections
-from sculpt_framework.geometry import topology
+from sculpt_framework.geometry import coincident, topology
 
 
 @dataclass(frozen=True, kw_only=True)
 class Certificate:
-    """Facts about a triangle mesh, taken as it is: vertices at the same place are not merged."""
+    """Facts about a triangle mesh as it is: only for ``watertight_merged`` vertices at the same place are merged."""
 
     vertices: int
     """Vertices that faces use."""
@@ -21,6 +21,8 @@ class Certificate:
     """Vertices that no face uses."""
     degenerate_faces: int
     """Faces that name a vertex twice or have area 0."""
+    coincident_vertices: int
+    """Vertices fewer, of those that faces use, once those at the same place are merged, in 32-bit floats."""
     boundary_edges: int
     """Edges with one face."""
     edge_manifold: bool
@@ -29,6 +31,8 @@ class Certificate:
     """The faces round every vertex form one fan."""
     watertight: bool
     """There are faces, and every edge has exactly two."""
+    watertight_merged: bool
+    """Watertight also once vertices at the same place are merged, which other programs do on reading."""
     consistently_oriented: bool
     """No two faces run along an edge in the same direction."""
     outward: bool
@@ -66,6 +70,8 @@ def certify(
     edge_manifold = topology.is_edge_manifold(faces)
     vertex_manifold = topology.is_vertex_manifold(faces)
     watertight = not empty and boundary == 0 and edge_manifold
+    merged = coincident.merged(vertices, faces)
+    coinciding = used - len(np.unique(merged))
     oriented = topology.is_consistently_oriented(faces)
     components = 0 if empty else topology.components(faces)[0]
     euler = topology.euler_characteristic(faces)
@@ -75,10 +81,12 @@ def certify(
         faces=len(faces),
         unused_vertices=len(vertices) - used,
         degenerate_faces=int((areas == 0).sum()),
+        coincident_vertices=coinciding,
         boundary_edges=boundary,
         edge_manifold=edge_manifold,
         vertex_manifold=vertex_manifold,
         watertight=watertight,
+        watertight_merged=watertight and (coinciding == 0 or _is_closed(merged)),
         consistently_oriented=oriented,
         outward=watertight and oriented and volume > 0,
         components=components,
@@ -88,3 +96,7 @@ def certify(
         signed_volume=volume,
         self_intersections=count_self_intersections(mesh) if self_intersections else None,
     )
+
+
+def _is_closed(faces: Int64[np.ndarray, "f 3"]) -> bool:
+    return len(topology.boundary_edges(faces)) == 0 and topology.is_edge_manifold(faces)

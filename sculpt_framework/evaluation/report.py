@@ -78,7 +78,8 @@ def _summary(metrics: Facts) -> str:
             continue  # With a reference a run is not held against its photographs.
         tiles.append((label, "not known" if value is None else style.format(value)))
     if certificate:
-        tiles.append(("watertight", fact(certificate["watertight"])))
+        closed = certificate["watertight"] and certificate.get("watertight_merged", True)
+        tiles.append(("watertight", fact(closed)))
     return (
         '<div class="tiles">'
         + "".join(f"<div><b>{escape(fact(value))}</b><span>{escape(label)}</span></div>" for label, value in tiles)

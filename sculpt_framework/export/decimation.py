@@ -7,7 +7,7 @@ from jaxtyping import Float64, Int64
 from sculpt_framework.errors import ConfigError, DataError
 from sculpt_framework.geometry import topology
 
-_LEAST = 4
+LEAST_FACES = 4
 """Faces of a tetrahedron."""
 
 
@@ -20,8 +20,8 @@ def decimate(
     a mesh that is small enough comes back as it is. Raises ConfigError for a target no closed mesh has, DataError where
     the mesh is not closed, or cannot become so small without losing a hole or a piece.
     """
-    if target < _LEAST:
-        raise ConfigError(f"--target-faces is {target}; expected {_LEAST} or more.")
+    if target < LEAST_FACES:
+        raise ConfigError(f"--target-faces is {target}; expected {LEAST_FACES} or more.")
     if len(faces) <= target:
         return vertices, faces
     if not _is_closed(faces):

@@ -3,7 +3,6 @@
 import os
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Literal
 
 import cv2
 import numpy as np
@@ -17,7 +16,6 @@ from sculpt_framework.export.mesh_files import vertex_normals
 from sculpt_framework.export.mesh_pixels import MeshPixels, draw_mesh
 from sculpt_framework.types import Camera, View
 
-Up = Literal["x", "y", "z", "-x", "-y", "-z"]
 Picture = UInt8[np.ndarray, "h w 3"]
 _SAMPLES = 2
 """Along each side of a pixel."""
@@ -26,22 +24,25 @@ _ANGLE = np.radians(35.0)
 """How wide a turntable's camera sees."""
 
 
-def turntable_cameras(vertices: Float64[np.ndarray, "v 3"], up: Up, frames: int, size: int) -> Iterator[Camera]:
-    """Cameras on a circle around a mesh, a little above it, that look at the middle of its box; world frame."""
+def turntable_cameras(
+    vertices: Float64[np.ndarray, "v 3"], up: Float64[np.ndarray, " 3"], frames: int, size: int
+) -> Iterator[Camera]:
+    """Cameras on a circle around a mesh, a little above it, that look at the middle of its box; world frame. ``up`` is
+    a unit vector."""
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     middle = 0.5 * (low + high)
     radius = 0.5 * float(np.linalg.norm(high - low))
     distance = 1.02 * radius / np.sin(0.5 * _ANGLE)
-    axis = np.zeros(3)
-    axis["xyz".index(up[-1])] = -1.0 if up.startswith("-") else 1.0
-    first = np.roll(np.abs(axis), 1)
-    second = np.cross(axis, first)
+    first = np.eye(3)[int(np.abs(up).argmin())]
+    first = first - up * (first @ up)
+    first /= np.linalg.norm(first)
+    second = np.cross(up, first)
     focal = 0.5 * size / np.tan(0.5 * _ANGLE)
     for turn in 2 * np.pi * np.arange(frames) / frames:
         around = np.cos(turn) * first + np.sin(turn) * second
-        position = middle + distance * (np.cos(_TILT) * around + np.sin(_TILT) * axis)
+        position = middle + distance * (np.cos(_TILT) * around + np.sin(_TILT) * up)
         forward = (middle - position) / distance
-        right = np.cross(forward, axis)
+        right = np.cross(forward, up)
         right /= np.linalg.norm(right)
         pose = np.eye(4)
         pose[:3, :3] = np.stack([right, np.cross(forward, right), forward])

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from sculpt_plugins.builtin import BUILTIN
+from sculpt_plugins.builtin import BUILTIN, EXPORTERS
 
+REGISTERED = [value for table in (*BUILTIN.values(), EXPORTERS) for value in table.values()]
 ROOT = Path(__file__).parents[2]
 FRAMEWORK = ROOT / "sculpt_framework"
 PLUGINS = ROOT / "plugins" / "sculpt_plugins"
@@ -55,14 +56,15 @@ def loaded(statement: str) -> set[str]:
 
 
 @pytest.mark.parametrize(
-    "module", ["cli.train", "cli.exit_codes", "cli.report", "command_line.request", "command_line.options"]
+    "module",
+    ["cli.train", "cli.exit_codes", "cli.report", "cli.export", "command_line.request", "command_line.options"],
 )
 def test_the_command_line_imports_nothing_heavy(module: str):
     assert not loaded(f"import sculpt_framework.{module}") & set(HEAVY)
 
 
 def test_no_config_module_imports_anything_heavy():
-    modules = sorted({value.partition(":")[0] for table in BUILTIN.values() for value in table.values()})
+    modules = sorted({value.partition(":")[0] for value in REGISTERED})
     assert not loaded("\n".join(f"import {module}" for module in modules)) & set(HEAVY)
 
 
@@ -113,7 +115,7 @@ def test_plug_ins_import_no_other_plug_in_of_their_slot(folder: str):
 
 
 def test_every_plug_in_folder_is_in_the_table():
-    configs = {value.partition(":")[0] for table in BUILTIN.values() for value in table.values()}
+    configs = {value.partition(":")[0] for value in REGISTERED}
     found = {
         f"sculpt_plugins.{path.parent.parent.name}.{path.parent.name}.config" for path in PLUGINS.glob("*/*/config.py")
     }

@@ -1,5 +1,6 @@
 """Names, other packages, and what a broken one does."""
 
+import inspect
 import subprocess
 import sys
 from pathlib import Path
@@ -8,7 +9,7 @@ import pytest
 
 from sculpt_framework import registry
 from sculpt_framework.errors import ComponentImportError, ConfigError, UnknownComponentError
-from sculpt_plugins.builtin import BUILTIN, METHODS
+from sculpt_plugins.builtin import BUILTIN, EXPORTERS, METHODS
 
 FIELD = """
 from dataclasses import dataclass
@@ -32,6 +33,13 @@ def test_every_slot_of_the_table_is_known():
 @pytest.mark.parametrize(("slot", "name"), BUILT_IN)
 def test_every_built_in_loads_and_knows_its_name(slot: str, name: str):
     assert registry.name_of(registry.default(slot, name)) == name
+
+
+@pytest.mark.parametrize("name", EXPORTERS)
+def test_every_export_format_loads_and_names_its_file(name: str):
+    config = registry.default_exporter(name)
+    assert config.file_name
+    assert inspect.getdoc(type(config))
 
 
 @pytest.mark.parametrize("name", METHODS)

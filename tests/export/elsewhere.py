@@ -2,7 +2,8 @@
 
     python tests/export/elsewhere.py RUN_DIR=FILE.glb [RUN_DIR=FILE.glb ...] --out FOLDER
 
-says of each file what the validator says, and leaves a screenshot of three.js from the run's first test camera.
+says of each file what the validator says, and leaves a screenshot of three.js from the run's first test camera, for
+files that were written with --up Y, so that they are not turned.
 """
 
 import functools

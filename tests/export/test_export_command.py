@@ -1,5 +1,6 @@
 """``sculpt-export`` on a run directory."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 import trimesh
 
 from sculpt_framework.cli.export import export
-from sculpt_framework.errors import CheckpointError, OutputError
+from sculpt_framework.errors import CheckpointError, ConfigError, OutputError, UnknownComponentError
 from sculpt_framework.export.mesh_files import write_mesh_ply
 
 
@@ -24,7 +25,10 @@ def run_dir(tmp_path: Path) -> Path:
 def test_meshes(kind: str, run_dir: Path, capsys: pytest.CaptureFixture[str]):
     out = run_dir / f"out.{kind}"
     export([str(run_dir), "--format", kind, "--out", str(out)])
-    assert capsys.readouterr().out == f"{out}\n"
+    said = capsys.readouterr().out.splitlines()
+    assert said[0] == str(out)
+    assert re.fullmatch(r"80 faces, [0-9. x]+ scene units, watertight", said[1])
+    assert ("--up says otherwise" in said[-1]) == (kind != "ply")
     mesh = next(iter(trimesh.load_scene(out, process=False).geometry.values()))
     assert (len(mesh.vertices), len(mesh.faces)) == (42, 80)
     assert mesh.visual.kind == ("texture" if kind == "glb" else "vertex")
@@ -36,7 +40,8 @@ def test_defaults_stay_in_the_run_directory(run_dir: Path):
         export([str(run_dir), "--format", kind])
     assert (run_dir / "mesh.ply").read_bytes() == before
     assert (run_dir / "gaussians.ply").read_bytes() == b"gaussians"
-    assert {"mesh.obj", "mesh.glb"} <= {path.name for path in run_dir.iterdir()}
+    names = {path.name for path in run_dir.iterdir()}
+    assert names == {"mesh.ply", "mesh.obj", "mesh-y-up.glb", "gaussians.ply"}
 
 
 def test_gaussians_are_copied(run_dir: Path, tmp_path: Path):
@@ -49,3 +54,11 @@ def test_mistakes_are_explained(run_dir: Path, tmp_path: Path):
         export([str(tmp_path / "nowhere"), "--format", "obj"])
     with pytest.raises(OutputError, match="cannot write"):
         export([str(run_dir), "--format", "obj", "--out", str(tmp_path / "nowhere" / "mesh.obj")])
+    with pytest.raises(UnknownComponentError, match=r"no export format 'objs'\. Did you mean 'obj'\?"):
+        export([str(run_dir), "--format", "objs"])
+    with pytest.raises(ConfigError, match=r"--format is missing; there are ply, obj, glb, stl, 3mf, "):
+        export([str(run_dir)])
+    with pytest.raises(ConfigError, match=r"--format is given twice: obj and glb"):
+        export([str(run_dir), "--format", "obj", "--format=glb"])
+    with pytest.raises(ConfigError, match=r"--format stl has no option --sice\. Did you mean --size\?"):
+        export([str(run_dir), "--format", "stl", "--sice", "8cm"])

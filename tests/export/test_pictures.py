@@ -15,7 +15,7 @@ from sculpt_framework.export.pictures import paint, turntable_cameras, write_map
 
 def _frames(count: int = 6, size: int = 64):
     vertices, faces = ball(3)
-    cameras = turntable_cameras(vertices, "z", count, size)
+    cameras = turntable_cameras(vertices, np.array([0.0, 0, 1]), count, size)
     return (color_picture(paint(vertices, faces, color_at(vertices), camera)) for camera in cameras)
 
 
@@ -25,7 +25,7 @@ def test_cameras_go_round_and_see_all_of_it(up: str):
     vertices = vertices * [1.0, 0.5, 2.0] + [3.0, 1.0, 0.0]
     axis = np.zeros(3)
     axis["xyz".index(up[-1])] = -1.0 if up.startswith("-") else 1.0
-    cameras = list(turntable_cameras(vertices, up, 8, 100))
+    cameras = list(turntable_cameras(vertices, axis, 8, 100))
     heights = [float(camera.position.numpy() @ axis) for camera in cameras]
     assert np.ptp(heights) < 1e-9
     assert heights[0] > (vertices @ axis).mean()

@@ -9,7 +9,7 @@ from rich.console import Console
 from sculpt_framework.events import Event
 from sculpt_plugins.observers.console.config import ConsoleConfig
 from sculpt_plugins.observers.console.observer import ConsoleObserver
-from sculpt_plugins.observers.console.wording import count, duration, memory, message_text
+from sculpt_plugins.observers.console.wording import certificate_text, count, duration, memory, message_text
 
 RUN_DIR = Path("outputs/jar/gaussian-sculpting/now")
 CERTIFICATE = {"watertight": True, "outward": True, "boundary_edges": 0, "components": 1, "genus": 0}
@@ -124,3 +124,10 @@ def test_a_config_builds_it(tmp_path: Path):
 )
 def test_wording(text: str, expected: str):
     assert text == expected
+
+
+def test_a_mesh_that_merging_opens_is_told():
+    open_ = CERTIFICATE | {"watertight_merged": False, "coincident_vertices": 4}
+    assert certificate_text(open_) == (
+        "watertight, but open where 4 vertices coincide with others, 1 component, genus 0"
+    )

@@ -105,6 +105,8 @@ def certificate_text(certificate: Data) -> str:
     if not certificate:
         return "no certificate"
     facts = ["watertight" if certificate["watertight"] else f"open, {certificate['boundary_edges']} boundary edges"]
+    if certificate["watertight"] and not certificate.get("watertight_merged", True):
+        facts.append(f"but open where {certificate['coincident_vertices']} vertices coincide with others")
     if certificate["watertight"] and not certificate["outward"]:
         facts.append("not turned outwards")
     components = certificate["components"]

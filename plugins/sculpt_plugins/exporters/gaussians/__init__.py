@@ -1,0 +1,1 @@
+"""The Gaussians as 3DGS writes them."""

@@ -1,0 +1,1 @@
+"""A page that plays how the surface came to be."""

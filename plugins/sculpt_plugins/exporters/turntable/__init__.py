@@ -1,0 +1,1 @@
+"""The mesh as it turns."""

@@ -81,7 +81,9 @@ def find_scale(arguments: argparse.Namespace) -> list[str]:
     if up is not None and not 0 < sum(value * value for value in up) < float("inf"):
         raise ConfigError(f"--up {' '.join(f'{value:g}' for value in up)}: expected a direction, not all 0.")
     by_markers = bool(boards or bars)
-    scene = _load(arguments.folder, arguments.downscale, masks=not by_markers and up is None)
+    # What the object stands on is found together with its masks; where something else says what up is, neither is needed.
+    masks = "none" if by_markers or up is not None else "ignored"
+    scene = _load(arguments.folder, arguments.downscale, masks)
     with told_progress("looking for markers", quiet=not by_markers) as progress:
         measured = measure_frame(scene, boards, bars, arguments.dictionary, up, progress)
     frame = measured.frame
@@ -148,14 +150,13 @@ def told_progress(what: str, *, quiet: bool = False) -> Iterator[Callable[[float
         yield lambda share: progress.update(task, completed=share)
 
 
-def _load(folder: str, downscale: int | None, *, masks: bool) -> "Scene":
-    """The scene as a run reads it; without ``masks``, no object is looked for where the layout lets one say so."""
+def _load(folder: str, downscale: int | None, masks: str) -> "Scene":
+    """The scene as a run reads it, but for its masks where the layout lets one choose them."""
     config = cast("DatasetConfig", registry.default("dataset", "auto"))
     config = replace(config, **({} if downscale is None else {"downscale": downscale}))
-    if not masks:
-        try:
-            return replace(config, **{"masks": "none"}).build(folder).load()
-        except ConfigError:
-            # A layout with masks of its own has no such option.
-            pass
-    return config.build(folder).load()
+    try:
+        dataset = replace(config, **{"masks": masks}).build(folder)
+    except ConfigError:
+        # A layout whose images have an alpha of their own has no such option.
+        dataset = config.build(folder)
+    return dataset.load()

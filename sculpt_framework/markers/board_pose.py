@@ -99,7 +99,8 @@ def _solutions(places: Float64[np.ndarray, "n 3"], pixels: Float64[np.ndarray, "
     _, turns, shifts, _ = cv2.solvePnPGeneric(places, pixels, matrix, coefficients, flags=cv2.SOLVEPNP_IPPE)
     fits = []
     for start in zip(turns, shifts, strict=True):
-        turn, shift = cv2.solvePnPRefineLM(places, pixels, matrix, coefficients, *(s.copy() for s in start))
+        turn, shift = (np.asarray(each).copy() for each in start)
+        turn, shift = cv2.solvePnPRefineLM(places, pixels, matrix, coefficients, turn, shift)
         seen, _ = cv2.projectPoints(places, turn, shift, matrix, coefficients)
         away = np.linalg.norm(np.asarray(seen).reshape(-1, 2) - pixels, axis=1)
         if np.isfinite(away).all() and float(shift.reshape(3)[2]) > 0:

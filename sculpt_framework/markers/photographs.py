@@ -1,6 +1,7 @@
 """A folder of photographs without cameras: which files, of which camera, and what EXIF says of its focal length."""
 
 import math
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -37,7 +38,10 @@ def list_photographs(folder: str) -> list[Photograph]:
     paths = [path for path in sorted(place.iterdir()) if path.suffix.lower() in _EXTENSIONS and path.is_file()]
     if not paths:
         raise DataError(f"{folder}: no photographs; found {contents(place)}; give the folder that they lie in.")
-    return [_photograph(path) for path in paths]
+    with warnings.catch_warnings():
+        # Of EXIF that is cut off, and of very large images.
+        warnings.simplefilter("ignore")
+        return [_photograph(path) for path in paths]
 
 
 def read_grey(photograph: Photograph) -> UInt8[np.ndarray, "h w"]:

@@ -74,14 +74,17 @@ def find_scale(arguments: argparse.Namespace) -> list[str]:
     """Write ``frame.json`` into a scene's folder. Raises ConfigError, DataError, OutputError."""
     from sculpt_framework.frame import write_frame
     from sculpt_framework.markers.scale import measure_frame, scale_bar
-    from sculpt_framework.posed_images.folders import scene_folder
 
     boards = printed_boards(arguments.board, arguments.ruler)
     bars = [scale_bar(values) for values in arguments.scale_bar]
     up = arguments.up
     if up is not None and not 0 < sum(value * value for value in up) < float("inf"):
         raise ConfigError(f"--up {' '.join(f'{value:g}' for value in up)}: expected a direction, not all 0.")
-    scene_folder(arguments.folder)
+    if not Path(arguments.folder).is_dir():
+        raise DataError(
+            f"{arguments.folder}: no such folder; expected a scene's, in which frame.json is written. sculpt-data demo "
+            "writes a built-in scene as a folder."
+        )
     by_markers = bool(boards or bars)
     # What the object stands on is found together with its masks.
     masks = "none" if by_markers or up is not None else "ignored"

@@ -72,8 +72,8 @@ def write_sheet(out: Path, name: str, paper: str) -> list[str]:
 
 def find_scale(arguments: argparse.Namespace) -> list[str]:
     """Write ``frame.json`` into a scene's folder. Raises ConfigError, DataError, OutputError."""
-    from sculpt_framework.frame import write_frame
-    from sculpt_framework.markers.scale import measure_frame, scale_bar
+    from sculpt_framework.frame import FRAME_NAME, frame_of, write_frame
+    from sculpt_framework.markers.scale import measure_frame, scale_bar, with_what_was_known
 
     boards = printed_boards(arguments.board, arguments.ruler)
     bars = [scale_bar(values) for values in arguments.scale_bar]
@@ -91,6 +91,14 @@ def find_scale(arguments: argparse.Namespace) -> list[str]:
     scene = _load(arguments.folder, arguments.downscale, masks)
     with told_progress("looking for markers", quiet=not by_markers) as progress:
         measured = measure_frame(scene, boards, bars, arguments.dictionary, up, progress)
+    before = None
+    if (Path(arguments.folder) / FRAME_NAME).is_file():
+        try:
+            before = frame_of(scene, arguments.folder)
+        except DataError as error:
+            measured.lines.append(f"note: replaced: {error}")
+    if before is not None:
+        measured = with_what_was_known(measured, before)
     frame = measured.frame
     if frame.metres_per_unit is None and frame.up is None:
         raise DataError(

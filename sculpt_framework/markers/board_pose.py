@@ -11,8 +11,8 @@ from sculpt_framework.markers.detection import Sighting
 
 _CORNERS = 8
 _OUTSIDE, _SIGMA, _NOISE = 3.5, 1.4826, 0.5
-_WORST = 3.0
-"""Pixels, root mean square, beyond which photograph and board do not fit."""
+_SHARE = 0.5
+"""Of the points that must fit."""
 _SURE = 0.5
 """Degrees of standard error of the orientation, beyond which a photograph is of no use."""
 _TWOFOLD, _OTHER = 1.5, 3.0
@@ -46,11 +46,13 @@ def pose_from_board(board: Float64[np.ndarray, "n 3"], sighting: Sighting, lens:
         return "the points it shows lie on a line"
     away = fits[0].away
     kept = away <= _OUTSIDE * max(_SIGMA * float(np.median(away)), _NOISE)
+    if kept.mean() < _SHARE:
+        return f"does not fit the board: {fits[0].error:.1f} pixels off"
     if kept.sum() >= _CORNERS and not kept.all():
         places, pixels = places[kept], pixels[kept]
         fits = _solutions(places, pixels, lens) or fits
     best = fits[0]
-    if best.error > _WORST:
+    if best.error > lens.worst:
         return f"does not fit the board: {best.error:.1f} pixels off"
     second = next((fit for fit in fits[1:] if fit.error < _TWOFOLD * best.error and best.angle_to(fit) > _OTHER), None)
     if second is not None:

@@ -16,11 +16,17 @@ _LEAST = 3
 _CORNERS = 8
 """Points in a photograph at least."""
 _OUTSIDE, _SIGMA, _NOISE = 3.5, 1.4826, 0.3
+_SHARE = 0.7
+"""Of the points that must fit."""
 _GAIN = 10.0
 """By how much the information criterion must fall for a lens with more parameters to be taken."""
 _SURE_FOCAL, _SURE_CENTER = 0.01, 0.005
 """Standard errors, of the focal length relative and of the principal point in lengths of the image's side, beyond which
 they do not count as known."""
+_WORST = (3.0, 0.003)
+"""Pixels, and sides of the image, root mean square: what is farther off than both does not fit a flat board."""
+_FOCAL = (0.2, 20.0)
+"""In sides of the image; beyond, no lens is meant."""
 _COVERED = 0.75
 """Of the way to the image's corners that points must reach for k2 to be fitted: beyond them it runs wild."""
 _FIXED = (
@@ -47,6 +53,11 @@ class BoardLens:
     k2: float = 0.0
     said: str
     """Where it is from."""
+
+    @property
+    def worst(self) -> float:
+        """Pixels by which a photograph of a board may be off, root mean square."""
+        return _worst(2 * max(self.center))
 
     def matrix(self) -> Float64[np.ndarray, "3 3"]:
         """As OpenCV wants it: pixel centres at whole numbers."""
@@ -75,10 +86,13 @@ def calibrate(
         return f"{len(good)} photographs show {_CORNERS} points of the board or more, {_LEAST} are needed"
     chosen = np.unique(np.linspace(0, len(good) - 1, min(_VIEWS, len(good))).round().astype(int))
     views = [good[index] for index in chosen]
-    side = max(width, height)
+    side = float(max(width, height))
     starts = [_matrix(start, width, height) for start in ([guess] if guess else [1.2 * side, 0.7 * side, 3.0 * side])]
     first = min((_Fit.of(board, views, (width, height), start, *_MODELS[1]) for start in starts), key=_Fit.criterion)
+    seen = sum(len(view.points) for view in views)
     views = first.without_strays(board, views)
+    if sum(len(view.points) for view in views) < _SHARE * seen:
+        return _other_board(first.pixels())
     covered = _reach(views, width, height) >= _COVERED
     models = [(count, fixed) for count, fixed in _MODELS if covered or fixed & _K2]
     fits = [_Fit.of(board, views, (width, height), first.matrix, *model) for model in models]
@@ -86,16 +100,19 @@ def calibrate(
     for fit in fits[1:]:
         if fit.criterion() < best.criterion() - _GAIN and fit.center_error <= _SURE_CENTER * side:
             best = fit
-    if not best.focal_error <= _SURE_FOCAL * best.matrix[0, 0]:
-        off = 100 * best.focal_error / best.matrix[0, 0]
+    if not best.pixels() <= _worst(side):
+        return _other_board(best.pixels())
+    focal = float(best.matrix[0, 0])
+    if not (best.focal_error <= _SURE_FOCAL * focal and _FOCAL[0] * side < focal < _FOCAL[1] * side):
+        off = 100 * best.focal_error / focal
         return f"the board tells the focal length to {off:.1f} % only: it is seen from too steep above, or too small"
     return BoardLens(
-        focal=float(best.matrix[0, 0]),
+        focal=focal,
         center=(float(best.matrix[0, 2]) + 0.5, float(best.matrix[1, 2]) + 0.5),
         k1=float(best.distortion[0]),
         k2=float(best.distortion[1]),
         said=f"calibrated on {len(views)} photographs, {best.pixels():.2g} pixels off (rms), focal length "
-        f"{best.matrix[0, 0]:.1f} +- {best.focal_error:.1f} pixels",
+        f"{focal:.1f} +- {best.focal_error:.1f} pixels",
     )
 
 
@@ -161,6 +178,14 @@ class _Fit:
         ]
         enough = [view for view in kept if len(view.points) >= _CORNERS]
         return enough if len(enough) >= _LEAST else list(views)
+
+
+def _worst(side: float) -> float:
+    return max(_WORST[0], _WORST[1] * side)
+
+
+def _other_board(pixels: float) -> str:
+    return f"what it shows is {pixels:.1f} pixels off that board: was another one printed, or is it bent?"
 
 
 def _reach(views: Sequence[Sighting], width: int, height: int) -> float:

@@ -99,6 +99,20 @@ def measure_frame(
     return MeasuredFrame(frame=WorldFrame(metres_per_unit=metres, up=direction, evidence=evidence), lines=lines)
 
 
+def with_what_was_known(measured: MeasuredFrame, before: WorldFrame) -> MeasuredFrame:
+    """Metres and up that are not measured now stay as they were."""
+    new, lines = measured.frame, list(measured.lines)
+    metres, up = new.metres_per_unit, new.up
+    if metres is None and before.metres_per_unit is not None:
+        metres = before.metres_per_unit
+        lines.append(f"one world unit stays {metres:.6g} m, as it was")
+    if up is None and before.up is not None:
+        up = before.up
+        lines.append(f"up stays ({', '.join(f'{value:.4f}' for value in up)}), as it was")
+    frame = WorldFrame(metres_per_unit=metres, up=up, evidence={**before.evidence, **new.evidence})
+    return MeasuredFrame(frame=frame, lines=lines)
+
+
 def grey_pixels(view: View) -> UInt8[np.ndarray, "h w"]:
     return (view.rgb @ torch.tensor(_GREY) * 255).round().clamp(0, 255).to(torch.uint8).numpy()
 

@@ -118,6 +118,12 @@ def test_the_focal_length_is_taken_from_exif_where_the_board_does_not_tell(tmp_p
         posed(bare)
 
 
+def test_another_board_than_the_one_named_is_told(tmp_path: Path):
+    folder = write_images(tmp_path / "shots", photographs(RING, around(4)))
+    with pytest.raises(DataError, match="pixels off that board: was another one printed"):
+        posed(folder, "ring-6x5-30")
+
+
 def test_mirrored_photographs_are_told(tmp_path: Path):
     images = [np.ascontiguousarray(image[:, ::-1]) for image in photographs(RING, around(4))]
     with pytest.raises(DataError, match="as in a mirror"):

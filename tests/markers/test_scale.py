@@ -13,7 +13,7 @@ from board_views import SCALE, SHIFT, TURN, around, degrees_between, photograph,
 from sculpt_framework.errors import ConfigError, DataError
 from sculpt_framework.frame import FRAME_NAME, WorldFrame, frame_of, read_frame, write_frame
 from sculpt_framework.markers.boards import Board, board_of
-from sculpt_framework.markers.scale import MeasuredFrame, ScaleBar, measure_frame, scale_bar
+from sculpt_framework.markers.scale import MeasuredFrame, ScaleBar, measure_frame, scale_bar, with_what_was_known
 from sculpt_framework.markers.similarity import fit_similarity
 from sculpt_framework.types import Scene
 
@@ -237,6 +237,15 @@ def test_a_frame_of_other_cameras_is_refused(ring: Scene, tmp_path: Path):
     ]
     with pytest.raises(DataError, match="made for other cameras"):
         frame_of(replace(ring, train=tuple(views)), str(tmp_path))
+
+
+def test_what_is_not_measured_now_stays_as_it_was(ring: Scene):
+    up_alone = measure_frame(ring, [], [], "apriltag_36h11", (0.0, 0.0, 2.0), lambda share: None)
+    metres_alone = measured(ring, bars=(scale_bar([0.0, 0.0, 0.0, 0.0, 0.0, 2.0, 1.0]),))
+    both = with_what_was_known(up_alone, metres_alone.frame).frame
+    assert (both.metres_per_unit, both.up) == (pytest.approx(0.5), (0.0, 0.0, 1.0))
+    again = with_what_was_known(metres_alone, replace(both, metres_per_unit=7.0)).frame
+    assert (again.metres_per_unit, again.up) == (pytest.approx(0.5), (0.0, 0.0, 1.0))
 
 
 @pytest.mark.parametrize("text", ['{"metres_per_unit": -1}', '{"up": [0, 0, 0]}', '{"up": "z"}', "{"])

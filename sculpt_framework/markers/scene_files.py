@@ -23,7 +23,9 @@ def check_scene_folder(folder: Path, photographs: Path) -> None:
     """
     if not folder.exists():
         return
-    there = {path.name for path in folder.iterdir()} if folder.is_dir() else {"no folder"}
+    if not folder.is_dir():
+        raise OutputError(f"--out {folder}: is a file; give a new folder.")
+    there = {path.name for path in folder.iterdir()}
     own = {IMAGES, "masks"} if (folder / IMAGES).resolve() == photographs.resolve() else set()
     if there - own:
         raise OutputError(

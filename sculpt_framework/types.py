@@ -154,6 +154,8 @@ class Scene:
     """A mesh file in world frame the result may be compared with; never used for training or selection."""
     notes: tuple[str, ...] = ()
     """One line each for whatever was unusual in the input and what is done about it."""
+    up: tuple[float, float, float] | None = None
+    """The side that the plane the object stands on faces, unit, where that was found in the photographs."""
     data: str = ""
     """Where it was read from, as ``--data`` says it; empty for one that was built by hand."""
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from sculpt_framework import registry
-from sculpt_framework.cli import exit_codes
+from sculpt_framework.cli import data_markers, exit_codes
 from sculpt_framework.ranges import require
 from sculpt_framework.validation import check_component
 
@@ -35,6 +35,8 @@ def data() -> None:
         _say(write_masks(arguments.folder, arguments.out, arguments.downscale))
     elif arguments.command == "depths":
         _say(write_depth_maps(arguments.folder, arguments.out, arguments.pixels, arguments.downscale))
+    elif arguments.command in data_markers.COMMANDS:
+        _say(data_markers.run_command(arguments))
     else:
         _say(inspect(arguments.folder, arguments.picture, arguments.downscale))
 
@@ -75,10 +77,13 @@ def demo_list() -> list[str]:
 
 def inspect(folder: str, picture: Path | None = None, downscale: int | None = None) -> list[str]:
     """The lines of a scene's card; also a picture of it where one is asked for. Raises DataError, OutputError."""
+    from sculpt_framework.frame import frame_of
     from sculpt_framework.posed_images.findings import findings
 
     scene = _load(folder, downscale)
-    lines = [*scene_card(scene), *(f"look at    {line}" for line in findings(scene))]
+    frame = frame_of(scene, folder)
+    told = [] if frame is None else [f"frame      {frame.in_words()}"]
+    lines = [*scene_card(scene), *told, *(f"look at    {line}" for line in findings(scene))]
     if picture is not None:
         from sculpt_framework.posed_images.contact_sheet import contact_sheet
 
@@ -254,6 +259,7 @@ def _parser() -> argparse.ArgumentParser:
     pixels = _stereo_defaults()["pixels"]
     size = f"along the object's longest side, at most (default: {pixels}); never finer than the images"
     depths.add_argument("--pixels", type=int, default=pixels, metavar="N", help=size)
+    data_markers.add_commands(commands)
     for command in (card, masks, depths):
         command.add_argument("--downscale", type=int, metavar="N", help="read images at 1/N of their sides")
     return parser

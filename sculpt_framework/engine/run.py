@@ -33,6 +33,7 @@ from sculpt_framework.evaluation.pictures import Picture
 from sculpt_framework.evaluation.report import write_report
 from sculpt_framework.events import Event
 from sculpt_framework.export.atomic import cannot_write, remove_partial_files, write_atomically
+from sculpt_framework.frame import WorldFrame, frame_of, write_frame
 from sculpt_framework.observers import Observer, SteeringObserver
 from sculpt_framework.plan.decision import write_plan
 from sculpt_framework.serialization import config_from_json, config_to_json
@@ -80,11 +81,12 @@ def run(config: MethodConfig, *, resume: Path | None, started: float) -> None:
     def save_state(state: Mapping[str, Tensor], progress: Progress) -> None:
         write_checkpoint(folder / CHECKPOINTS, state, progress)
 
+    frame = None if resume is not None else frame_of(scene, config.data)
     session = Session(
         scene, config, emit=emit, save_state=save_state, started=started, processes=processes, saved=saved
     )
     # The first process makes the folder, in which another may find what the first has written.
-    folder = Path(processes.first(lambda: str(_run_folder(session, resume))))
+    folder = Path(processes.first(lambda: str(_run_folder(session, frame, resume))))
     try:
         with stop_on_interrupt() as stop_requested:
             if processes.leads:
@@ -107,13 +109,15 @@ def _tell_finished(folder: Path) -> None:
     sys.stdout.write(f"{folder} has finished already; its mesh is {folder / MESH_NAME}\n")
 
 
-def _run_folder(session: Session, resume: Path | None) -> Path:
-    """The run directory, ready to be written to."""
+def _run_folder(session: Session, frame: WorldFrame | None, resume: Path | None) -> Path:
+    """The run directory, ready to be written to; a new one with what is known of the world frame."""
     if resume is None:
         folder = prepare_output(session.config)
         write_atomically(folder / CONFIG_NAME, config_to_json(session.config).encode())
         if session.plan is not None:
             write_plan(session.plan, folder)
+        if frame is not None:
+            write_frame(frame, folder)
     else:
         folder = resume
     try:

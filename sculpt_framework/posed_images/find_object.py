@@ -57,6 +57,8 @@ class FoundObject:
     """Those that show the object, with an alpha each."""
     test: list[View]
     said: str
+    up: tuple[float, float, float] | None
+    """The normal of the plane it stands on, unit, in world axes; None where none is cut away."""
 
 
 def find_object(
@@ -86,11 +88,21 @@ def find_object(
     if len(train) < _SHOWN * len(views):
         return f"{solid.known}, but only {len(train)} of {len(views)} images show what they make up"
     said = f"{bare} of {len(done)} images have no mask: the object is what they agree on in depth ({solid.known})"
-    said += "; the plane it stands on is cut away (--dataset.keep-support leaves it)" if solid.stands else ""
+    said += (
+        "; the plane it stands on is cut away (--dataset.keep-support leaves it)" if solid.support is not None else ""
+    )
     said += "; look at the masks: sculpt-data masks DIR."
     if len(train) < len(views):
         said += f" {len(views) - len(train)} images that do not show it are left out."
-    return FoundObject(train=train, test=done[len(views) :], said=said)
+    return FoundObject(train=train, test=done[len(views) :], said=said, up=_up(solid.support))
+
+
+def _up(support: Plane | None) -> tuple[float, float, float] | None:
+    """Of the cube's frame, whose axes are the world's."""
+    if support is None:
+        return None
+    x, y, z = support.normal.tolist()
+    return (x, y, z)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -101,8 +113,8 @@ class _Solid:
     inside: Bool[np.ndarray, "x y z"]
     seen: Bool[np.ndarray, "x y z"]
     """Near what some view sees."""
-    stands: bool
-    """On a plane, which is cut away."""
+    support: Plane | None
+    """What it stands on, which is cut away."""
     known: str
     """What there is of depths, in words."""
 
@@ -128,7 +140,7 @@ def _solid(views: Sequence[View], *, sure: bool, keep_support: bool) -> _Solid |
     walls = [wall for axis in range(3) for wall in (inside.take(0, axis), inside.take(-1, axis))]
     if not keep_support and sum(wall.mean() > _WALLED for wall in walls) >= (_ROOM if sure else _OPEN):
         return f"{known}, but what they show fills the space: no object ends within it"
-    return _Solid(volume=volume, inside=inside, seen=seen, stands=support is not None, known=known)
+    return _Solid(volume=volume, inside=inside, seen=seen, support=support, known=known)
 
 
 def _cube(seed: Box) -> Box:

@@ -52,11 +52,12 @@ def load_photographs(
     loaded = load_views(train, test, keyed, downscale=options.downscale, all_round=True)
     said = [*notes, *loaded.notes]
     views, held_out = list(loaded.train), list(loaded.test)
+    up = None
     given = None if options.box is None else Box.between(options.box[:3], options.box[3:])
     if options.masks != "none" and any(view.alpha is None for view in views):
         seed, how = (given, "the box given") if given is not None else seed_box(views, clues)
         sure = given is not None or clues.box is not None
-        views, held_out, found = _with_masks(views, held_out, seed, sure, options)
+        views, held_out, found, up = _with_masks(views, held_out, seed, sure, options)
         said += [f"the object is looked for in {how}.", *found]
     bounds = FoundBox(box=given, said="box as given.", cuts=True) if given is not None else _find_box(views, clues)
     if bounds.cuts:
@@ -70,13 +71,18 @@ def load_photographs(
         box=bounds.box,
         reference_mesh=reference,
         notes=(*said, bounds.said),
+        up=up,
     )
 
 
 def _with_masks(
     views: Sequence[View], test: Sequence[View], seed: Box, sure: bool, options: PhotographsConfig
-) -> tuple[list[View], list[View], list[str]]:
-    """The views with an alpha each: from depths where they tell, else from colours. Raises DataError."""
+) -> tuple[list[View], list[View], list[str], tuple[float, float, float] | None]:
+    """The views with an alpha each, from depths where they tell, else from colours, what is said of that, and up, where
+    the object is found to stand on something.
+
+    Raises DataError.
+    """
     # What is compiled and only needed here is imported here.
     from sculpt_framework.posed_images.cut_out import cut_out
     from sculpt_framework.posed_images.find_object import FoundObject, find_object
@@ -85,10 +91,10 @@ def _with_masks(
     if options.masks != "cut-out":
         found = find_object(views, test, seed, sure=sure, keep_support=options.keep_support)
         if isinstance(found, FoundObject):
-            return found.train, found.test, [found.said]
+            return found.train, found.test, [found.said], found.up
         notes.append(f"no object is found by depth: {found}.")
     train, held_out, note = cut_out(views, test, seed)
-    return train, held_out, [*notes, note]
+    return train, held_out, [*notes, note], None
 
 
 def seed_box(views: Sequence[View], clues: Clues) -> tuple[Box, str]:

@@ -72,6 +72,7 @@ def test_a_ball_is_told_from_the_table_it_stands_on():
     found = find_object(views[1:], views[:1], SEED)
     assert isinstance(found, FoundObject), found
     assert "the plane it stands on is cut away" in found.said
+    assert found.up == pytest.approx((0, 1, 0), abs=0.03)
     scores = overlaps([*found.test, *found.train], truth)
     # A pixel along the outline is a twenty-fifth of the ball.
     assert min(scores) > 0.85
@@ -83,6 +84,7 @@ def test_what_it_stands_on_may_stay():
     found = find_object(views, [], SEED, sure=True, keep_support=True)
     assert isinstance(found, FoundObject), found
     assert "cut away" not in found.said
+    assert found.up is None
     covered = [float(view.alpha.mean()) for view in found.train if view.alpha is not None]
     assert min(covered) > 1.5 * max(float(view.alpha.mean()) for view in truth if view.alpha is not None)
 

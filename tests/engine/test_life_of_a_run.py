@@ -34,6 +34,7 @@ from sculpt_framework.evaluation.curve import read_curve
 from sculpt_framework.evaluation.mesh import load_mesh
 from sculpt_framework.events import Event
 from sculpt_framework.export import atomic
+from sculpt_framework.frame import WorldFrame, write_frame
 from sculpt_framework.reconstructor import Moment, StepReport
 from sculpt_framework.sculpting.method import Sculpting
 from sculpt_framework.sculpting.trainer import BiLevelTrainer
@@ -261,7 +262,9 @@ def test_a_run_without_a_recorder_can_be_looked_at_and_gone_on_with(
     assert (folder / "mesh.ply").is_file()
 
 
-def test_nothing_is_learned_from_test_views_or_the_reference(config: MethodConfig, scene_folder: Path, tmp_path: Path):
+def test_nothing_is_learned_from_test_views_the_reference_or_the_frame(
+    config: MethodConfig, scene_folder: Path, tmp_path: Path
+):
     import shutil
 
     bare = tmp_path / "bare" / scene_folder.name
@@ -269,6 +272,7 @@ def test_nothing_is_learned_from_test_views_or_the_reference(config: MethodConfi
     shutil.rmtree(bare / "test")
     (bare / "transforms_test.json").unlink()
     (bare / "gt_mesh.ply").unlink()
+    write_frame(WorldFrame(metres_per_unit=0.25, up=(0.0, 0.6, 0.8)), bare)
     run(config, resume=None, started=0.0)
     run(replace(config, data=str(bare), output=tmp_path / "without"), resume=None, started=0.0)
     assert (tmp_path / "run" / "mesh.ply").read_bytes() == (tmp_path / "without" / "mesh.ply").read_bytes()
@@ -276,6 +280,10 @@ def test_nothing_is_learned_from_test_views_or_the_reference(config: MethodConfi
     assert final["point_to_point"] > 0
     assert final["accuracy"] > 0
     assert "point_to_point" not in json.loads((tmp_path / "without" / "metrics.json").read_text())["final"]
+    # Those who look at the run find the frame in it.
+    taken = json.loads((tmp_path / "without" / "frame.json").read_text())
+    assert taken == {"metres_per_unit": 0.25, "up": [0.0, 0.6, 0.8]}
+    assert not (tmp_path / "run" / "frame.json").exists()
 
 
 # -- failure ---------------------------------------------------------------------------------------------------------

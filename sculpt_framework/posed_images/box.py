@@ -80,13 +80,15 @@ def fit_box(views: Sequence[View], clues: Clues = NO_CLUES) -> Region:
 
     Where fewer than three views show the object whole, the clues bound it too, or else the space that half of the views
     show inside their masks. A box among the clues bounds it always, unless most of at least three masks that show the
-    object whole reach out of it. Views without alpha count as all object, which leaves the intersection of the cameras'
-    frusta.
+    object whole reach out of it. Views without alpha say nothing where three others have one; else they count as all
+    object, which leaves the intersection of the cameras' frusta.
 
     Raises DataError if no point in space agrees with the views.
     """
-    outlines = in_threads(outline_of, views)
+    count = len(views)
     masked = sum(view.alpha is not None for view in views)
+    views = views if masked < _WHOLE else [view for view in views if view.alpha is not None]
+    outlines = in_threads(outline_of, views)
     whole = sum(outline.closed for outline in outlines) >= min(_WHOLE, len(outlines))
     limit, remark = _limit(outlines, clues, whole)
     found = None if limit is None else _within_limit(outlines, masked, limit, whole)
@@ -99,7 +101,7 @@ def fit_box(views: Sequence[View], clues: Clues = NO_CLUES) -> Region:
     box = Box(minimum=torch.from_numpy(found.low - margin), maximum=torch.from_numpy(found.high + margin))
     bounded = _bounded_otherwise(outlines, found, limit, whole)
     source = f"{masked} masks" if masked == len(views) else f"{masked} masks and {len(views)} frusta"
-    said = f"{box_in_words(box)} fitted from {source if masked else 'frusta'} of {len(views)} views"
+    said = f"{box_in_words(box)} fitted from {source if masked else 'frusta'} of {count} views"
     if bounded.any():
         name = "what half of the views show" if limit is None else limit.name
         said += f"; {_sides(bounded)} by {name}"

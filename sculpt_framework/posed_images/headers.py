@@ -7,6 +7,8 @@ from pathlib import Path
 
 from PIL import Image
 
+from sculpt_framework.posed_images.heic import heic_size
+
 _ORIENTATION = 274
 """The EXIF tag."""
 
@@ -37,6 +39,9 @@ def read_headers(paths: Sequence[Path]) -> list[ImageHeader | None]:
 
 
 def _read(path: Path) -> ImageHeader | None:
+    upright = heic_size(path)
+    if upright is not None:
+        return ImageHeader(width=upright[0], height=upright[1], orientation=1)
     try:
         with Image.open(path) as image:
             orientation = image.getexif().get(_ORIENTATION, 1)

@@ -23,6 +23,7 @@ _REDUCED = (
 )
 """By how much JPEGs can be reduced as they are decoded."""
 _LEFT = 1.5
+_LFS = b"version https://git-lfs"
 _CUT = "cut off before its end"
 _JPEG_MARKER = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]")
 """Not a byte 255 among the pixels' codes, which a zero follows, nor what parts them to restart the decoder."""
@@ -57,6 +58,8 @@ def read_image(path: Path, *, orientation: int = 1, divide: int = 1) -> DecodedI
         raise DataError(f"{path}: cannot be read ({error.strerror}).") from None
     if not data:
         raise DataError(f"{path}: the image file is empty; write it again.")
+    if data.startswith(_LFS):
+        raise DataError(f"{path}: is a pointer of Git LFS in place of the image; fetch it with 'git lfs pull'.")
     damage = find_damage(data)
     if damage:
         raise DataError(f"{path}: the image is damaged ({damage}); write or download it again.")

@@ -31,10 +31,10 @@ class ImageHeader:
 def read_headers(paths: Sequence[Path]) -> list[ImageHeader | None]:
     """One for each file; None for a file that cannot be opened, which decoding will explain.
 
-    Not from several threads at once: a warning about very large images is turned off meanwhile.
+    Not from several threads at once: warnings, of very large images and damaged ones, are turned off meanwhile.
     """
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+        warnings.simplefilter("ignore")
         return [_read(path) for path in paths]
 
 

@@ -7,6 +7,7 @@ listed in it. Links in the folder are the user's own and are followed.
 
 import os
 import re
+import unicodedata
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -30,7 +31,7 @@ _DOUBLED = re.compile(r"(.+(\.\w+))\2", re.IGNORECASE)
 
 Remark = Literal["as named", "case", "tail", "numbered"]
 _REMARKS: dict[Remark, str] = {
-    "case": "are found under a name in other case",
+    "case": "are found under a name in other case or encoding",
     "tail": "are found by the end of their path",
     "numbered": "are found without the number or the second extension that was put behind their name",
 }
@@ -103,22 +104,37 @@ class NamedFiles:
         return inside / name, how if remark == "as named" else remark
 
     def _list(self, folder: Path) -> tuple[dict[str, str], dict[str, str]]:
-        """Folders and files in a folder, each with its name in lower case."""
+        """Folders and files in a folder, each with its name as names are compared."""
         if folder not in self._listed:
             folders, files = {}, {}
             try:
                 with os.scandir(folder) as entries:
                     for entry in entries:
-                        (folders if entry.is_dir() else files)[entry.name] = entry.name.casefold()
+                        kind = _kind(entry)
+                        if kind is not None:
+                            (folders if kind == "folder" else files)[entry.name] = folded(entry.name)
             except OSError as error:
                 raise DataError(f"{folder}: the folder cannot be listed ({error.strerror}).") from None
             self._listed[folder] = (folders, files)
         return self._listed[folder]
 
 
+def _kind(entry: os.DirEntry[str]) -> Literal["folder", "file"] | None:
+    """None for devices and for links that lead nowhere."""
+    try:
+        return "folder" if entry.is_dir() else "file" if entry.is_file() else None
+    except OSError:
+        return None
+
+
+def folded(name: str) -> str:
+    """A name without its case, and with letters with accents as one sign each: systems differ in both."""
+    return unicodedata.normalize("NFC", name).casefold()
+
+
 def _only(names: dict[str, str], name: str) -> str | None:
-    """The only one of the names that is this one but for its case."""
-    same = [given for given, folded in names.items() if folded == name.casefold()]
+    """The only one of the names that is this one but for its case and encoding."""
+    same = [given for given, compared in names.items() if compared == folded(name)]
     return same[0] if len(same) == 1 else None
 
 
@@ -133,8 +149,8 @@ def _match(files: dict[str, str], name: str) -> tuple[str, Remark] | None:
     same = _only(files, name)
     if same is not None:
         return same, "case"
-    folded = [_only(files, name + end) for end in IMAGE_EXTENSIONS]
-    same = next((given for given in folded if given is not None), None)
+    extended = [_only(files, name + end) for end in IMAGE_EXTENSIONS]
+    same = next((given for given in extended if given is not None), None)
     if same is not None:
         return same, "case"
     plain = [given for given in _reduced(name) if given in files]

@@ -10,7 +10,7 @@ from jaxtyping import Float32
 
 from sculpt_framework.errors import DataError
 from sculpt_framework.posed_images.decoding import read_image
-from sculpt_framework.posed_images.image_files import is_image_name
+from sculpt_framework.posed_images.image_files import folded, is_image_name
 from sculpt_framework.posed_images.reading import in_short
 
 MASK_FOLDERS = ("masks", "mask", "object_mask")
@@ -75,8 +75,8 @@ def mask_folders(root: Path) -> list[Path]:
 
 def without_masks(files: Sequence[Path]) -> list[Path]:
     """Images of one folder, without those that are called masks of others: ``a.mask.png``, ``a_mask.png`` of ``a``."""
-    names = {name.casefold() for path in files for name in (path.name, path.stem)}
-    return [path for path in files if (key := path.stem.casefold()) == (cut := _MARK.sub("", key)) or cut not in names]
+    names = {folded(name) for path in files for name in (path.name, path.stem)}
+    return [path for path in files if (key := folded(path.stem)) == (cut := _MARK.sub("", key)) or cut not in names]
 
 
 def _files(folder: Path) -> Iterator[Path]:
@@ -92,7 +92,7 @@ def _by_name(names: Sequence[Path], paths: Sequence[Path]) -> dict[str, Path]:
     # Of a.png and a.webp the first.
     for cut in (False, True):
         for name, path in pictures:
-            key = name.with_suffix("").as_posix().casefold()
+            key = folded(name.with_suffix("").as_posix())
             marked = _MARK.sub("", key)
             if not cut or marked != key:
                 found.setdefault(marked if cut else key, path)
@@ -102,7 +102,7 @@ def _by_name(names: Sequence[Path], paths: Sequence[Path]) -> dict[str, Path]:
 def _ends(path: PurePosixPath) -> list[str]:
     """Under what names the mask of an image may be found: ever shorter ends of its path, with its extension first."""
     ends = [PurePosixPath(*path.parts[start:]) for start in range(len(path.parts))]
-    return [name.casefold() for end in ends for name in (end.as_posix(), end.with_suffix("").as_posix())]
+    return [folded(name) for end in ends for name in (end.as_posix(), end.with_suffix("").as_posix())]
 
 
 def _look_up(by_name: Mapping[str, Path], names: Sequence[str]) -> Path | None:
@@ -111,7 +111,7 @@ def _look_up(by_name: Mapping[str, Path], names: Sequence[str]) -> Path | None:
 
 def _beside(folder: Path, images: Collection[Path]) -> dict[str, Path]:
     """Masks in a folder of images, by the names of the images they are of, with or without extension."""
-    marked = {path: key for path in sorted(folder.iterdir()) if _MARK.search(key := path.stem.casefold())}
+    marked = {path: key for path in sorted(folder.iterdir()) if _MARK.search(key := folded(path.stem))}
     return {_MARK.sub("", key): path for path, key in marked.items() if path not in images and is_image_name(path.name)}
 
 

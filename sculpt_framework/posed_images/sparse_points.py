@@ -28,7 +28,7 @@ def read_ply_points(path: Path) -> Points:
     return np.concatenate([NO_POINTS, *found])
 
 
-def usable(points: Points, name: str) -> tuple[Points, list[str]]:
+def usable(points: Points, name: str) -> tuple[Float64[np.ndarray, "m 3"], list[str]]:
     """Those that are somewhere, and notes on the rest. ``name`` is what the notes call their file."""
     if len(points) == 0:
         return NO_POINTS, [f"{name} holds no point."]

@@ -42,7 +42,7 @@ def read_images(path: Path) -> list[SparseImage]:
     for where, line in _lines(path):
         words = line.split(maxsplit=9)
         if not words or (follows and _are_observations(line)):
-            follows = follows and not words
+            follows = False
             continue
         if len(words) != 10:
             raise DataError(
@@ -63,10 +63,10 @@ def _are_observations(line: str) -> bool:
     """An image's line may have as many words, where its name has spaces, but they are not all numbers."""
     words = line.split()
     try:
-        numbers = [float(word) for word in (*words[:12], words[-1])]
+        numbers = [float(word) for word in (*words[:12], *words[-3:])]
     except ValueError:
         return False
-    return len(words) % 3 == 0 and numbers[-1].is_integer()
+    return len(words) % 3 == 0 and all(point.is_integer() for point in numbers[2::3])
 
 
 def read_points(path: Path) -> Float64[np.ndarray, "n 3"]:

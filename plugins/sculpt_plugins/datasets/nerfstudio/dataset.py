@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 from jaxtyping import Float64
@@ -13,7 +13,7 @@ from sculpt_framework.posed_images.clues import Clues
 from sculpt_framework.posed_images.folders import contents, scene_folder
 from sculpt_framework.posed_images.image_files import NamedFiles, remarks
 from sculpt_framework.posed_images.photographs import check_options, hold_out, load_photographs
-from sculpt_framework.posed_images.reading import in_line, number, read_json
+from sculpt_framework.posed_images.reading import in_line, in_short, number, read_json
 from sculpt_framework.posed_images.sparse_points import NO_POINTS, Points, read_ply_points, usable
 from sculpt_framework.posed_images.transforms import Frame, posed_images, read_frames, rigid_matrix, with_masks
 from sculpt_framework.types import Scene
@@ -67,20 +67,32 @@ class NerfstudioDataset(Dataset):
         held_out = named["test"] or named["val"]
         if self.config.test_every or not held_out:
             return hold_out(frames, self.config.test_every, str(path))
-        test = [frame for frame in frames if frame.file_path in held_out]
-        train = [frame for frame in frames if frame.file_path in named["train"]]
+        test = [frame for frame in frames if _plain(frame.file_path) in held_out]
+        train = [frame for frame in frames if _plain(frame.file_path) in named["train"]]
         if not named["train"]:
-            train = [frame for frame in frames if frame.file_path not in held_out]
+            train = [frame for frame in frames if _plain(frame.file_path) not in held_out]
         if not train:
             raise DataError(f"{path}: train_filenames names none of the {len(frames)} frames.")
-        return train, test, f"{len(train)} train and {len(test)} test views, as the file's lists say."
+        note = f"{len(train)} train and {len(test)} test views, as the file's lists say"
+        there = {_plain(frame.file_path) for frame in frames}
+        strange = sorted((named["train"] | held_out) - there)
+        if strange:
+            note += f"; {len(strange)} of the names in them are of no frame ({in_short([in_line(n) for n in strange])})"
+        neither = sorted(there - named["train"] - held_out) if named["train"] else []
+        if neither:
+            note += f"; {len(neither)} frames are in none of them and are not used ({in_short(neither)})"
+        return train, test, f"{note}."
 
 
 def _names(document: Mapping[str, object], key: str, path: Path) -> frozenset[str]:
     value = document.get(key, [])
     if not isinstance(value, list) or not all(isinstance(name, str) for name in value):
         raise DataError(f"{path}: {key} is not a list of file names.")
-    return frozenset(value)
+    return frozenset(_plain(name) for name in value)
+
+
+def _plain(name: str) -> str:
+    return PurePosixPath(name.replace("\\", "/")).as_posix()
 
 
 def _applied(document: Mapping[str, object], path: Path) -> tuple[Float64[np.ndarray, "4 4"], float]:

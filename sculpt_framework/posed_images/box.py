@@ -136,7 +136,8 @@ def _limit(outlines: Sequence[Outline], clues: Clues, whole: bool) -> tuple[_Lim
     """What bounds the object besides its masks, and what there is to say of a clue that does not."""
     if clues.box is not None:
         low, high = clues.box.minimum.double().numpy(), clues.box.maximum.double().numpy()
-        seen_whole = [outline for outline in outlines if outline.closed]
+        # A view without a mask is all object, and reaches out of any box.
+        seen_whole = [outline for outline in outlines if outline.closed and outline.distance.any()]
         out = sum(_share_outside(outline, low, high) > _REACHES_OUT for outline in seen_whole)
         if whole and out > 0.5 * len(seen_whole):
             said = f"{out} of {len(seen_whole)} masks of the whole object reach out of it"

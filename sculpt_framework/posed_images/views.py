@@ -206,7 +206,7 @@ def _key(
     bare = [image for image in images if image.alpha is None]
     some = f"{len(bare)} of {len(images)} images have no alpha"
     if background == "none":
-        return images, f"{some}: nothing is keyed out, as asked."
+        return images, f"{some}: nothing is keyed out."
     learned = [image for image in images[:split] if image.alpha is None] or bare
     colors, lossless = [image.rgb for image in learned], all(image.lossless for image in learned)
     behind: Background | None

@@ -376,6 +376,16 @@ def test_masks_for_some_of_the_images(write: Write, tmp_path: Path):
     assert (scene.box.center - full.box.center).abs().max() < 0.5
 
 
+def test_a_box_that_comes_with_the_cameras_stays_where_few_images_have_a_mask(tmp_path: Path):
+    """An image without a mask is all object, which does not make the ball too small."""
+    folder = idr(tmp_path / "s")
+    for index in (0, 2, 3, 4):
+        (folder / "mask" / f"r_0{index}.png").unlink()
+    scene = read(folder, box=None)
+    assert not noted(scene, "is not used")
+    assert scene.box.scale <= 1.1 * 1.03
+
+
 @every_layout
 def test_inverted_masks_are_noticed(write: Write, tmp_path: Path):
     folder = write(tmp_path / "s")

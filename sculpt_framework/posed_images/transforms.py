@@ -14,7 +14,15 @@ from jaxtyping import Float64
 
 from sculpt_framework.errors import DataError
 from sculpt_framework.posed_images.distortion import Distortion
-from sculpt_framework.posed_images.image_files import LEAST, NamedFiles, each_once, left_out, remarks, view_names
+from sculpt_framework.posed_images.image_files import (
+    LEAST,
+    FoundFile,
+    NamedFiles,
+    each_once,
+    left_out,
+    remarks,
+    view_names,
+)
 from sculpt_framework.posed_images.lens import LENS_KEYS, Lens, read_lens
 from sculpt_framework.posed_images.lens_keys import read_distortion
 from sculpt_framework.posed_images.masks import MASK_FOLDERS, find_masks
@@ -62,7 +70,7 @@ def read_frames(
     if not entries:
         raise DataError(f"{path}: 'frames' is empty; expected one object per image.")
     files = NamedFiles(path.parent)
-    frames, found, missing, scales = [], [], [], []
+    frames, found, masks, missing, scales = [], [], [], [], []
     for index, entry in enumerate(entries):
         where = f"{path}: frame {index}"
         if not isinstance(entry, dict):
@@ -85,6 +93,8 @@ def read_frames(
             raise DataError(f"{file.path}: the image file is empty; write it again.")
         found.append(file)
         scales.append(scale)
+        mask = _mask(files, entry, file.path, where)
+        masks += [] if mask is None else [mask]
         frames.append(
             Frame(
                 name=file.inside.as_posix(),
@@ -93,12 +103,12 @@ def read_frames(
                 lens=lens,
                 file_path=file_path,
                 distortion=distortion,
-                mask=_mask(files, entry, file.path, where),
+                mask=None if mask is None else mask.path,
             )
         )
     notes = left_out([in_line(name) for name in missing], len(entries), str(path), path.parent, least=least)
     kept, again = each_once(found, f"{split} frames")
-    notes += [*remarks(found, f"{split} images"), *again, *_scaled(scales, split)]
+    notes += [*remarks(found, f"{split} images"), *remarks(masks, "masks"), *again, *_scaled(scales, split)]
     names = view_names([found[index].inside for index in kept])
     return [replace(frames[index], name=name) for index, name in zip(kept, names, strict=True)], notes
 
@@ -151,7 +161,7 @@ def _camera(frame: Frame, width: int, height: int) -> Camera:
     return pinhole.camera(torch.from_numpy(world_to_camera), width, height)
 
 
-def _mask(files: NamedFiles, entry: Mapping[str, object], image: Path, where: str) -> Path | None:
+def _mask(files: NamedFiles, entry: Mapping[str, object], image: Path, where: str) -> FoundFile | None:
     value = entry.get("mask_path")
     if value is None:
         return None
@@ -163,7 +173,7 @@ def _mask(files: NamedFiles, entry: Mapping[str, object], image: Path, where: st
         raise DataError(
             f"{where}: there is no mask {in_line(value)} in {files.folder}; leave mask_path out where there is none."
         )
-    return found.path
+    return found
 
 
 def _without_overruled(merged: Mapping[str, object], entry: Mapping[str, object]) -> dict[str, object]:

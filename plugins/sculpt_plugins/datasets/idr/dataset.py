@@ -76,9 +76,7 @@ class IdrDataset(Dataset):
         """By their order, as names of images and masks need not agree; where there are fewer or more, by names."""
         folders = mask_folders(self.folder)
         ordered = _image_files(folders[0]) if len(folders) == 1 else []
-        if len(ordered) == len(images):
-            return list(ordered), []
-        return find_masks(self.folder, images)
+        return find_masks(self.folder, images, ordered if len(ordered) == len(images) else ())
 
 
 def _image_files(folder: Path) -> list[Path]:

@@ -81,13 +81,15 @@ def fit_box(views: Sequence[View], clues: Clues = NO_CLUES) -> FoundBox:
 
     Where fewer than three views show the object whole, the clues bound it too, or else the space that half of the views
     show inside their masks. A box among the clues bounds it always, unless most of at least three masks that show the
-    object whole reach out of it. Views without alpha count as all object, which leaves the intersection of the cameras'
-    frusta.
+    object whole reach out of it. Views without alpha say nothing where three others have one; else they count as all
+    object, which leaves the intersection of the cameras' frusta.
 
     Raises DataError if no point in space agrees with the views.
     """
-    outlines = in_threads(outline_of, views)
+    count = len(views)
     masked = sum(view.alpha is not None for view in views)
+    views = views if masked < _WHOLE else [view for view in views if view.alpha is not None]
+    outlines = in_threads(outline_of, views)
     whole = sum(outline.closed for outline in outlines) >= min(_WHOLE, len(outlines))
     limit, remark = _limit(outlines, clues, whole)
     found = None if limit is None else _within_limit(outlines, masked, limit, whole)
@@ -100,7 +102,7 @@ def fit_box(views: Sequence[View], clues: Clues = NO_CLUES) -> FoundBox:
     box = Box.between(found.low - margin, found.high + margin)
     bounded = _bounded_otherwise(outlines, found, limit, whole)
     source = f"{masked} masks" if masked == len(views) else f"{masked} masks and {len(views)} frusta"
-    said = f"{box_in_words(box)} fitted from {source if masked else 'frusta'} of {len(views)} views"
+    said = f"{box_in_words(box)} fitted from {source if masked else 'frusta'} of {count} views"
     if bounded.any():
         name = "what half of the views show" if limit is None else limit.name
         said += f"; {_sides(bounded)} by {name}"
@@ -135,7 +137,8 @@ def _limit(outlines: Sequence[Outline], clues: Clues, whole: bool) -> tuple[_Lim
     """What bounds the object besides its masks, and what there is to say of a clue that does not."""
     if clues.box is not None:
         low, high = clues.box.minimum.double().numpy(), clues.box.maximum.double().numpy()
-        seen_whole = [outline for outline in outlines if outline.closed]
+        # A view without a mask is all object, and reaches out of any box.
+        seen_whole = [outline for outline in outlines if outline.closed and outline.distance.any()]
         out = sum(_share_outside(outline, low, high) > _REACHES_OUT for outline in seen_whole)
         if whole and out > 0.5 * len(seen_whole):
             said = f"{out} of {len(seen_whole)} masks of the whole object reach out of it"

@@ -1,5 +1,6 @@
 """One image file to sRGB floats. Damaged files are refused before a decoder can guess at what is missing."""
 
+import re
 import struct
 import zlib
 from dataclasses import dataclass
@@ -10,9 +11,11 @@ import numpy as np
 from jaxtyping import Float
 
 from sculpt_framework.errors import DataError
+from sculpt_framework.posed_images.heic import is_heic, read_heic
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 JPEG_START, JPEG_END = b"\xff\xd8\xff", b"\xff\xd9"
+_LOSSLESS = (PNG_SIGNATURE, b"BM", b"II*", b"MM\0*")
 _REDUCED = (
     (8, cv2.IMREAD_REDUCED_COLOR_8),
     (4, cv2.IMREAD_REDUCED_COLOR_4),
@@ -20,7 +23,10 @@ _REDUCED = (
 )
 """By how much JPEGs can be reduced as they are decoded."""
 _LEFT = 1.5
-_JPEG_TRAILER = 4096  # Cameras append private bytes behind the end marker; more than this is not an image's tail.
+_LFS = b"version https://git-lfs"
+_CUT = "cut off before its end"
+_JPEG_MARKER = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]")
+"""Not a byte 255 among the pixels' codes, which a zero follows, nor what parts them to restart the decoder."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -33,7 +39,7 @@ class DecodedImage:
     bits: int
     """Bits per channel in the file: 8 or 16."""
     lossless: bool
-    """False for JPEG."""
+    """False for JPEG, WebP, AVIF and HEIC, whose errors are largest around the object."""
     full_size: tuple[int, int]
     """Width and height of the image in the file, upright if it was asked for, before it was reduced."""
 
@@ -52,13 +58,15 @@ def read_image(path: Path, *, orientation: int = 1, divide: int = 1) -> DecodedI
         raise DataError(f"{path}: cannot be read ({error.strerror}).") from None
     if not data:
         raise DataError(f"{path}: the image file is empty; write it again.")
+    if data.startswith(_LFS):
+        raise DataError(f"{path}: is a pointer of Git LFS in place of the image; fetch it with 'git lfs pull'.")
     damage = find_damage(data)
     if damage:
         raise DataError(f"{path}: the image is damaged ({damage}); write or download it again.")
     jpeg = data.startswith(JPEG_START)
-    pixels, full = _decode(data, divide if jpeg else 1)
+    pixels, full = read_heic(data, path) if is_heic(data) else _decode(data, divide if jpeg else 1)
     if pixels is None:
-        raise DataError(f"{path}: not an image that can be decoded; expected PNG or JPEG.")
+        raise DataError(f"{path}: not an image that can be decoded; expected PNG, JPEG, WebP, TIFF, AVIF or HEIC.")
     pixels = _upright(pixels, orientation)
     width, height = full[::-1] if orientation >= 5 else full
     bits = {"uint8": 8, "uint16": 16}.get(str(pixels.dtype))
@@ -75,7 +83,8 @@ def read_image(path: Path, *, orientation: int = 1, divide: int = 1) -> DecodedI
     rgb = np.multiply(cv2.cvtColor(pixels, code), scale, dtype=np.float32)
     if divide > 1:
         rgb, alpha = shrink(rgb, alpha, max(1, round(width / divide)), max(1, round(height / divide)))
-    return DecodedImage(rgb=rgb, alpha=alpha, grey=grey, bits=bits, lossless=not jpeg, full_size=(width, height))
+    lossless = data.startswith(_LOSSLESS)
+    return DecodedImage(rgb=rgb, alpha=alpha, grey=grey, bits=bits, lossless=lossless, full_size=(width, height))
 
 
 def shrink(
@@ -140,15 +149,31 @@ def _upright(pixels: np.ndarray, orientation: int) -> np.ndarray:
 
 
 def find_damage(data: bytes) -> str | None:
-    """What is visibly wrong with the bytes of a PNG or JPEG, or None; other formats are left to the decoder.
+    """What is visibly wrong with the bytes of a PNG, JPEG, WebP or BMP, or None; other formats are left to the decoder.
 
     Decoders fill a truncated image with grey or with zeros and say nothing about it, which would be learned as colour.
     """
     if data.startswith(PNG_SIGNATURE):
         return _png_damage(data)
-    if data.startswith(JPEG_START) and JPEG_END not in data[-_JPEG_TRAILER:]:
-        return "cut off before its end"
+    if data.startswith(JPEG_START):
+        return _jpeg_damage(data)
+    if data[:4] == b"RIFF" and data[8:12] == b"WEBP":
+        return _CUT if len(data) < 8 + int.from_bytes(data[4:8], "little") else None
+    if data[:2] == b"BM" and len(data) < int.from_bytes(data[2:6], "little"):
+        return _CUT
     return None
+
+
+def _jpeg_damage(data: bytes) -> str | None:
+    """What follows the end marker is no part of the image: private bytes, a preview, a motion photograph's film."""
+    at = 2
+    while (marker := _JPEG_MARKER.search(data, at)) is not None:
+        if marker[0] == JPEG_END:
+            return None
+        # Segments say how long they are, so that a preview in one does not end the image. Pixels follow the last one.
+        length = int.from_bytes(data[marker.end() : marker.end() + 2], "big")
+        at = marker.end() + max(2, length)
+    return _CUT
 
 
 def _png_damage(data: bytes) -> str | None:
@@ -158,11 +183,11 @@ def _png_damage(data: bytes) -> str | None:
         kind = data[at + 4 : at + 8]
         end = at + 12 + length
         if end > len(data):
-            return "cut off before its end"
+            return _CUT
         (checksum,) = struct.unpack_from(">I", data, end - 4)
         if zlib.crc32(data[at + 4 : end - 4]) != checksum:
             return "a checksum does not match"
         if kind == b"IEND":
             return None
         at = end
-    return "cut off before its end"
+    return _CUT

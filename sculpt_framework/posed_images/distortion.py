@@ -19,6 +19,11 @@ _STEEPEST = 1.3
 _NEWTON_STEPS = 20
 _FOLDED = 0.05
 """Pixels by which a border point may miss itself on its way through the lens and back."""
+_BENT = (0.2, 1.6)
+"""Distance of a border point from the principal point over what it would be without the distortion. Lenses of 100
+degrees and more come to a half; nothing magnifies its border by a half."""
+_NAMES = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+_FISHEYE_NAMES = ("k1", "k2", "k3", "k4")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,12 +118,17 @@ def rectify(pinhole: Pinhole, distortion: Distortion, width: int, height: int, w
     """The pinhole image that is covered whole by a distorted image of ``width`` x ``height``.
 
     The largest upright rectangle between the bent borders, at most ``_STEEPEST`` from the axis. Raises DataError,
-    beginning with ``where``, for a lens that folds the image over itself.
+    beginning with ``where``, for a lens that folds the image over itself or bends it as no lens does.
     """
     try:
         return _rectification(pinhole, distortion, width, height)
     except _FoldedError as error:
-        raise DataError(f"{where}: {error}") from None
+        names = _FISHEYE_NAMES if distortion.fisheye else _NAMES
+        numbers = ", ".join(f"{n} {value:g}" for n, value in zip(names, distortion.coefficients, strict=False) if value)
+        raise DataError(
+            f"{where}: the calibration diverged: {error} ({numbers}, focal length {pinhole.fx:.4g} x {pinhole.fy:.4g} "
+            f"pixels, image {width}x{height}); calibrate again, with one camera for all images or a simpler model."
+        ) from None
 
 
 class _FoldedError(Exception):
@@ -134,7 +144,7 @@ def _rectification(pinhole: Pinhole, distortion: Distortion, width: int, height:
     focal = np.array([pinhole.fx, pinhole.fy])
     size = np.floor((high - low) * focal + 1e-6).astype(int)
     if (size < 1).any():
-        raise _FoldedError("the lens's distortion leaves no image; its coefficients are wrong.")
+        raise _FoldedError("the lens's distortion leaves no image")
     shift = -low * focal
     straight = Pinhole(fx=pinhole.fx, fy=pinhole.fy, cx=float(shift[0]), cy=float(shift[1]))
     make = cv2.fisheye.initUndistortRectifyMap if distortion.fisheye else cv2.initUndistortRectifyMap
@@ -185,8 +195,19 @@ def _checked(pixels: Float64[np.ndarray, "n 2"], pinhole: Pinhole, distortion: D
     back = distorted_pixels(directions, pinhole, distortion) if checked.any() else np.zeros((0, 2))
     error = np.abs(back - pixels[checked]).max(initial=0.0)
     if not error < _FOLDED:
-        raise _FoldedError(
-            "the lens's distortion folds the image over itself before its border; check the coefficients, or undistort "
-            "the images."
-        )
+        raise _FoldedError("the lens's distortion folds the image over itself before its border")
+    _require_a_lens(pixels[checked], rays[checked], pinhole, distortion)
     return rays
+
+
+def _require_a_lens(
+    pixels: Float64[np.ndarray, "n 2"], rays: Float[np.ndarray, "n 2"], pinhole: Pinhole, distortion: Distortion
+) -> None:
+    """Raises _FoldedError where rays are bent to much more or less of their way from the middle."""
+    straight = np.linalg.norm(rays, axis=1)
+    straight = np.arctan(straight) if distortion.fisheye else straight
+    bent = np.linalg.norm((pixels - (pinhole.cx, pinhole.cy)) / (pinhole.fx, pinhole.fy), axis=1)
+    factors = bent[straight > 0] / straight[straight > 0]
+    if len(factors) and not (_BENT[0] <= factors.min() and factors.max() <= _BENT[1]):
+        worst = max(factors.max(), 1 / factors.min())
+        raise _FoldedError(f"the lens's distortion moves the image's border by a factor of {worst:.3g}")

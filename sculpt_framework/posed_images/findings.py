@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from sculpt_framework.posed_images.projected_box import box_outline
+from sculpt_framework.posed_images.reading import in_short
 from sculpt_framework.shape_from_images.windows import touches_border
 from sculpt_framework.types import Box, Scene, View
 
@@ -34,13 +35,13 @@ def findings(scene: Scene) -> list[str]:
     small = [(view, _mask(view)) for view in masked]
     cut = [view.name for view, mask in small if touches_border(mask)]
     if len(cut) > _CUT_OFF * len(masked):
-        lines.append(f"{len(cut)} of {len(masked)} images cut the object off at their border ({_some(cut)}).")
+        lines.append(f"{len(cut)} of {len(masked)} images cut the object off at their border ({in_short(cut)}).")
     sizes = [_extent(mask) for _, mask in small]
     if np.median(sizes) < _SMALL:
         lines.append(f"the object fills {100 * np.median(sizes):.0f} % of an image's side: go nearer or crop.")
     outside = [view.name for view, mask in small if _share_outside(view, mask, scene.box) > _OUTSIDE]
     if outside:
-        lines.append(f"{len(outside)} masks reach out of the box: a wrong mask or camera ({_some(outside)}).")
+        lines.append(f"{len(outside)} masks reach out of the box: a wrong mask or camera ({in_short(outside)}).")
     return lines
 
 
@@ -56,11 +57,11 @@ def _of_views(views: Sequence[View], box: Box) -> list[str]:
     detail = [_detail(view) for view in views]
     blurred = [view.name for view, value in zip(views, detail, strict=True) if value < _BLURRED * np.median(detail)]
     if blurred:
-        lines.append(f"{len(blurred)} images are much less sharp than the rest ({_some(blurred)}).")
+        lines.append(f"{len(blurred)} images are much less sharp than the rest ({in_short(blurred)}).")
     light = [_brightness(view) for view in views]
     dark = [view.name for view, value in zip(views, light, strict=True) if value < _DARKER * np.median(light)]
     if dark:
-        lines.append(f"{len(dark)} images are much darker than the rest ({_some(dark)}): exposure should be locked.")
+        lines.append(f"{len(dark)} images are much darker than the rest ({in_short(dark)}): exposure should be locked.")
     return lines
 
 
@@ -124,7 +125,3 @@ def _brightness(view: View) -> float:
     grey = _grey(view)
     inside = _weight(view, grey.shape)
     return float(grey[inside].mean()) if inside.any() else 0.0
-
-
-def _some(names: Sequence[str]) -> str:
-    return ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from sculpt_framework.errors import DataError
+from sculpt_framework.posed_images.reading import in_short
 
 
 def scene_folder(data: str) -> Path:
@@ -27,4 +28,4 @@ def contents(folder: Path) -> str:
     names = sorted(path.name + ("/" if path.is_dir() else "") for path in folder.iterdir())
     if not names:
         return "an empty folder"
-    return ", ".join(names[:6]) + (", ..." if len(names) > 6 else "")
+    return in_short(names, 6)

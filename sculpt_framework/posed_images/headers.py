@@ -7,6 +7,8 @@ from pathlib import Path
 
 from PIL import Image
 
+from sculpt_framework.posed_images.heic import heic_size
+
 _ORIENTATION = 274
 """The EXIF tag."""
 
@@ -29,14 +31,17 @@ class ImageHeader:
 def read_headers(paths: Sequence[Path]) -> list[ImageHeader | None]:
     """One for each file; None for a file that cannot be opened, which decoding will explain.
 
-    Not from several threads at once: a warning about very large images is turned off meanwhile.
+    Not from several threads at once: warnings, of very large images and damaged ones, are turned off meanwhile.
     """
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+        warnings.simplefilter("ignore")
         return [_read(path) for path in paths]
 
 
 def _read(path: Path) -> ImageHeader | None:
+    upright = heic_size(path)
+    if upright is not None:
+        return ImageHeader(width=upright[0], height=upright[1], orientation=1)
     try:
         with Image.open(path) as image:
             orientation = image.getexif().get(_ORIENTATION, 1)

@@ -15,7 +15,7 @@ from sculpt_framework.types import Camera
 LENS_KEYS = ("camera_angle_x", "camera_angle_y", "fl_x", "fl_y", "cx", "cy", "w", "h")
 DISTORTION_KEYS = ("k1", "k2", "k3", "k4", "p1", "p2")
 _ASPECT_TOLERANCE = 0.01
-_FOCAL = (1e-3, 1e9)
+FOCAL = (1e-3, 1e9)
 """Pixels; beyond, no camera is meant, and places of pixels overflow."""
 
 
@@ -82,16 +82,16 @@ class Lens:
             fy = 0.5 * height / math.tan(0.5 * self.angle_y)
         else:
             fy = fx
-        if not all(_FOCAL[0] <= focal <= _FOCAL[1] for focal in (fx, fy)):
+        if not all(FOCAL[0] <= focal <= FOCAL[1] for focal in (fx, fy)):
             raise DataError(
-                f"{image}: the focal length comes to {fx:g} x {fy:g} pixels; expected {_FOCAL[0]:g} to {_FOCAL[1]:g}. "
+                f"{image}: the focal length comes to {fx:g} x {fy:g} pixels; expected {FOCAL[0]:g} to {FOCAL[1]:g}. "
                 "Check camera_angle_x or fl_x in the transforms."
             )
         cx = 0.5 * width if self.center_x is None else self.center_x * sx
         cy = 0.5 * height if self.center_y is None else self.center_y * sy
-        if not max(abs(cx), abs(cy)) <= _FOCAL[1]:
+        if not max(abs(cx), abs(cy)) <= FOCAL[1]:
             raise DataError(
-                f"{image}: the principal point comes to {cx:g}, {cy:g} pixels; expected at most {_FOCAL[1]:g} to "
+                f"{image}: the principal point comes to {cx:g}, {cy:g} pixels; expected at most {FOCAL[1]:g} to "
                 "either side. Check cx and cy in the transforms."
             )
         return Pinhole(fx=fx, fy=fy, cx=cx, cy=cy)

@@ -7,6 +7,7 @@ from sculpt_framework.config import DatasetConfig
 from sculpt_framework.ranges import at_least, require
 
 MasksOption = Literal["auto", "cut-out", "none", "ignored"]
+InvertMasksOption = Literal["auto", "yes", "no"]
 Corners = tuple[float, float, float, float, float, float]
 
 
@@ -19,6 +20,8 @@ class PhotographsConfig(DatasetConfig):
     masks: MasksOption = "auto"
     """auto: masks that are there, else a plain background keyed out, else found by depth, else cut out by colours;
     cut-out: by colours at once; ignored: as auto where there are no files of masks, whether there are or not."""
+    invert_masks: InvertMasksOption = "auto"
+    """Whether files of masks are black where the object is; auto looks at their borders and where the cameras look."""
     keep_support: bool = False
     """Leave what the object stands on where masks are found by depth."""
     background: Literal["auto", "white", "black", "none"] = "auto"

@@ -11,6 +11,7 @@ import torch
 from sculpt_framework.errors import DataError
 from sculpt_framework.posed_images.box import FoundBox, box_in_words, fit_box
 from sculpt_framework.posed_images.clues import Clues, points_bounds
+from sculpt_framework.posed_images.mask_polarity import white_on_object
 from sculpt_framework.posed_images.options import PhotographsConfig
 from sculpt_framework.posed_images.projected_box import box_outline
 from sculpt_framework.posed_images.views import PosedImage, load_views
@@ -48,13 +49,18 @@ def load_photographs(
     if ignored:
         train, test = ([replace(item, mask=None) for item in items] for items in (train, test))
     by_file = any(item.mask is not None for item in train)
+    train, test, turned = white_on_object(train, test, options.invert_masks)
     keyed = options.background if (options.masks == "auto" and not by_file) or ignored else "none"
     loaded = load_views(train, test, keyed, downscale=options.downscale, all_round=True)
-    said = [*notes, *loaded.notes]
+    said = [*notes, *turned, *loaded.notes]
     views, held_out = list(loaded.train), list(loaded.test)
     up = None
     given = None if options.box is None else Box.between(options.box[:3], options.box[3:])
-    if options.masks != "none" and any(view.alpha is None for view in views):
+    bare = sum(view.alpha is None for view in views)
+    if bare and by_file and options.masks == "auto":
+        how = "--dataset.masks cut-out cuts the object out of them by colours"
+        said.append(f"{bare} of {len(views)} train images have no mask and are used without one ({how}).")
+    elif bare and options.masks != "none":
         seed, how = (given, "the box given") if given is not None else seed_box(views, clues)
         sure = given is not None or clues.box is not None
         views, held_out, found, up = _with_masks(views, held_out, seed, sure, options)

@@ -3,7 +3,7 @@
 import difflib
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from sculpt_framework.errors import DataError
@@ -65,9 +65,20 @@ def nearest_key(key: str, entries: Iterable[str]) -> str | None:
     return candidates[close[0]] if close else None
 
 
+def in_short(names: Sequence[str], most: int = 3) -> str:
+    """The first few of many names."""
+    return ", ".join(names[:most]) + (", ..." if len(names) > most else "")
+
+
+def in_line(text: str, most: int = 200) -> str:
+    """A name from a file, so that it can be shown: without what is no letter, and not longer than a line."""
+    shown = "".join(letter if letter.isprintable() else "?" for letter in text)
+    return shown if len(shown) <= most else f"{shown[: most // 2]}...{shown[-most // 2 :]}"
+
+
 def _listing(entries: Iterable[str]) -> str:
     names = sorted(entries)
-    return (", ".join(names[:6]) + (", ..." if len(names) > 6 else "")) if names else "nothing"
+    return in_short(names, 6) if names else "nothing"
 
 
 def _kind(value: object) -> str:

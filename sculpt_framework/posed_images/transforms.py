@@ -4,7 +4,7 @@ All of it before any image is decoded. Layouts differ in what the file is called
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path, PurePosixPath
 
@@ -14,13 +14,22 @@ from jaxtyping import Float64
 
 from sculpt_framework.errors import DataError
 from sculpt_framework.posed_images.distortion import Distortion
+from sculpt_framework.posed_images.image_files import (
+    LEAST,
+    FoundFile,
+    NamedFiles,
+    each_once,
+    left_out,
+    remarks,
+    view_names,
+)
 from sculpt_framework.posed_images.lens import LENS_KEYS, Lens, read_lens
 from sculpt_framework.posed_images.lens_keys import read_distortion
-from sculpt_framework.posed_images.reading import nearest_key, number, read_json, required
+from sculpt_framework.posed_images.masks import MASK_FOLDERS, find_masks
+from sculpt_framework.posed_images.reading import in_line, number, read_json, required
 from sculpt_framework.posed_images.views import PosedImage
 from sculpt_framework.types import Camera
 
-_EXTENSIONS = (".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG", ".webp", ".tif", ".tiff", ".bmp")
 # Matrices written with four decimals deviate from a rotation by 1e-4; what exceeds this is no rounding.
 _RIGID_TOLERANCE = 2e-3
 # Coordinates beyond this lose their digits in float32 wherever they are used later.
@@ -43,15 +52,16 @@ class Frame:
 
 
 def read_frames(
-    path: Path, split: str, images: str | None = None, *, photographs: bool = False
+    path: Path, split: str, images: str | None = None, *, photographs: bool = False, least: int = LEAST
 ) -> tuple[list[Frame], list[str]]:
     """The frames of a transforms file and notes on what was unusual about them.
 
     ``file_path`` is relative to the file's folder; with ``images``, only its last part counts, the name of a file in
-    that folder below. ``split`` is what the notes call the frames. ``photographs`` may have distorted lenses and masks
-    (``mask_path``); without it, a distorted lens is an error.
+    that folder below. ``split`` is what the notes call the frames. ``photographs`` may have distorted lenses; without
+    it, one is an error. Frames whose image is not there are left out.
 
-    Raises DataError for the first thing that is missing or malformed, naming file and frame.
+    Raises DataError for the first thing that is missing or malformed, naming file and frame, and where images are
+    missing so that fewer than ``least`` frames are left.
     """
     document = read_json(path)
     entries = required(document, "frames", str(path))
@@ -59,22 +69,67 @@ def read_frames(
         raise DataError(f"{path}: 'frames' is not a list; expected one object per image.")
     if not entries:
         raise DataError(f"{path}: 'frames' is empty; expected one object per image.")
-    frames, scales = [], []
+    files = NamedFiles(path.parent)
+    frames, found, masks, missing, scales = [], [], [], [], []
     for index, entry in enumerate(entries):
         where = f"{path}: frame {index}"
         if not isinstance(entry, dict):
             raise DataError(f"{where} is not an object; expected file_path and transform_matrix.")
-        frame, scale = _frame(path.parent, document, entry, where, images, photographs)
-        frames.append(frame)
+        file_path = required(entry, "file_path", where)
+        if not isinstance(file_path, str) or not file_path.strip():
+            raise DataError(f"{where}: file_path is not a path; expected text such as ./train/r_0.")
+        where = f"{where} ({in_line(file_path)})"
+        matrix, scale = rigid_matrix(required(entry, "transform_matrix", where), where, "transform_matrix")
+        merged = {**{k: v for k, v in document.items() if k != "frames"}, **entry}
+        lens = read_lens(_without_overruled(merged, entry), where, distorted=photographs)
+        distortion = read_distortion(merged, where) if photographs else None
+        # Absolute paths of somebody else's machine are common where only the name counts.
+        below = file_path if images is None else f"{images}/{PurePosixPath(file_path.replace(chr(92), '/')).name}"
+        file = files.find(below)
+        if file is None:
+            missing.append(file_path)
+            continue
+        if file.path.stat().st_size == 0:
+            raise DataError(f"{file.path}: the image file is empty; write it again.")
+        found.append(file)
         scales.append(scale)
-    scaled = [scale for scale in scales if abs(scale - 1) > _RIGID_TOLERANCE]
-    notes = []
-    if scaled:
-        notes.append(
-            f"{len(scaled)} of {len(frames)} {split} cameras have a rotation scaled by {min(scaled):.3g} to "
-            f"{max(scaled):.3g}: the scale is taken out, positions stay."
+        mask = _mask(files, entry, file.path, where)
+        masks += [] if mask is None else [mask]
+        frames.append(
+            Frame(
+                name=file.inside.as_posix(),
+                image=file.path,
+                camera_to_world=matrix,
+                lens=lens,
+                file_path=file_path,
+                distortion=distortion,
+                mask=None if mask is None else mask.path,
+            )
         )
-    return frames, notes
+    notes = left_out([in_line(name) for name in missing], len(entries), str(path), path.parent, least=least)
+    kept, again = each_once(found, f"{split} frames")
+    notes += [*remarks(found, f"{split} images"), *remarks(masks, "masks"), *again, *_scaled(scales, split)]
+    names = view_names([found[index].inside for index in kept])
+    return [replace(frames[index], name=name) for index, name in zip(kept, names, strict=True)], notes
+
+
+def _scaled(scales: Sequence[float], split: str) -> list[str]:
+    scaled = [scale for scale in scales if abs(scale - 1) > _RIGID_TOLERANCE]
+    if not scaled:
+        return []
+    return [
+        f"{len(scaled)} of {len(scales)} {split} cameras have a rotation scaled by {min(scaled):.3g} to "
+        f"{max(scaled):.3g}: the scale is taken out, positions stay."
+    ]
+
+
+def with_masks(folder: Path, frames: Sequence[Frame]) -> tuple[list[Frame], list[str]]:
+    """The frames with masks from files in ``folder`` where the transforms name none, and notes on those files.
+
+    Raises DataError where masks do not fit the images' names.
+    """
+    masks, notes = find_masks(folder, [frame.image for frame in frames], [frame.mask for frame in frames])
+    return [replace(frame, mask=mask) for frame, mask in zip(frames, masks, strict=True)], notes
 
 
 def posed_images(frames: Sequence[Frame]) -> list[PosedImage]:
@@ -106,48 +161,19 @@ def _camera(frame: Frame, width: int, height: int) -> Camera:
     return pinhole.camera(torch.from_numpy(world_to_camera), width, height)
 
 
-def _frame(
-    folder: Path,
-    document: Mapping[str, object],
-    entry: Mapping[str, object],
-    where: str,
-    images: str | None,
-    photographs: bool,
-) -> tuple[Frame, float]:
-    file_path = required(entry, "file_path", where)
-    if not isinstance(file_path, str) or not file_path.strip():
-        raise DataError(f"{where}: file_path is not a path; expected text such as ./train/r_0.")
-    where = f"{where} ({file_path})"
-    matrix, scale = rigid_matrix(required(entry, "transform_matrix", where), where, "transform_matrix")
-    merged = {**{k: v for k, v in document.items() if k != "frames"}, **entry}
-    lens = read_lens(_without_overruled(merged, entry), where, distorted=photographs)
-    distortion = read_distortion(merged, where) if photographs else None
-    # Absolute paths of somebody else's machine are common where only the name counts.
-    below = file_path if images is None else f"{images}/{PurePosixPath(file_path.replace(chr(92), '/')).name}"
-    relative = _inside(folder, below, where)
-    image = _find_image(folder, relative, where)
-    frame = Frame(
-        name=relative.as_posix().removesuffix(image.suffix),
-        image=image,
-        camera_to_world=matrix,
-        lens=lens,
-        file_path=file_path,
-        distortion=distortion,
-        mask=_mask(folder, entry, where) if photographs else None,
-    )
-    return frame, scale
-
-
-def _mask(folder: Path, entry: Mapping[str, object], where: str) -> Path | None:
+def _mask(files: NamedFiles, entry: Mapping[str, object], image: Path, where: str) -> FoundFile | None:
     value = entry.get("mask_path")
     if value is None:
         return None
     if not isinstance(value, str) or not value.strip():
         raise DataError(f"{where}: mask_path is not a path; expected text such as ./masks/r_0.png.")
-    path = folder / _inside(folder, value, where, "mask_path")
-    if not path.is_file():
-        raise DataError(f"{where}: there is no mask {path}; leave mask_path out where an image has none.")
-    return path
+    found = files.find(value, MASK_FOLDERS[0])
+    # The end of a mask's path may be that of its image.
+    if found is None or found.path == image:
+        raise DataError(
+            f"{where}: there is no mask {in_line(value)} in {files.folder}; leave mask_path out where there is none."
+        )
+    return found
 
 
 def _without_overruled(merged: Mapping[str, object], entry: Mapping[str, object]) -> dict[str, object]:
@@ -191,39 +217,3 @@ def rigid_matrix(value: object, where: str, key: str) -> tuple[Float64[np.ndarra
     matrix[:3, :3] = left @ right
     matrix[3] = (0, 0, 0, 1)
     return matrix, scale
-
-
-def _inside(folder: Path, file_path: str, where: str, key: str = "file_path") -> PurePosixPath:
-    """A path relative to the folder. Links in the folder are the user's own and are followed."""
-    text = file_path.replace("\\", "/")
-    root = folder.absolute().as_posix()
-    if text.startswith(root + "/"):
-        text = text[len(root) + 1 :]
-    parts: list[str] = []
-    leaves = text.startswith("/") or text[1:2] == ":" or "\0" in text
-    for part in text.split("/"):
-        if part == "..":
-            leaves = leaves or not parts
-            parts = parts[:-1]
-        elif part not in ("", "."):
-            parts.append(part)
-    if leaves or not parts:
-        raise DataError(f"{where}: {key} leaves the data folder; expected a path inside {folder}.")
-    return PurePosixPath(*parts)
-
-
-def _find_image(folder: Path, relative: PurePosixPath, where: str) -> Path:
-    stem = folder / relative
-    try:
-        for path in (stem, *(stem.with_name(stem.name + extension) for extension in _EXTENSIONS)):
-            if path.is_file():
-                if path.stat().st_size == 0:
-                    raise DataError(f"{path}: the image file is empty; write it again.")
-                return path
-        beside = [path.name for path in stem.parent.iterdir()] if stem.parent.is_dir() else []
-    except OSError as error:
-        raise DataError(f"{where}: the image cannot be reached ({error.strerror}).") from None
-    close = nearest_key(stem.name, beside)
-    tried = stem.name if stem.suffix in _EXTENSIONS else f"{stem.name} with {', '.join(_EXTENSIONS[:3])}"
-    hint = f"; there is {close}" if close else "" if beside else f"; there is no folder {stem.parent}"
-    raise DataError(f"{where}: no such image in {stem.parent}; looked for {tried}{hint}.")

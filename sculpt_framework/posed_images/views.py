@@ -43,6 +43,8 @@ class PosedImage:
     """Width and height that the layout says the image has, if it does: whether to turn it as its EXIF data say."""
     distortion: Distortion | None = None
     mask: Path | None = None
+    mask_inverted: bool = False
+    """Black where the object is."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -147,6 +149,7 @@ def _read(item: PosedImage, orientation: int, divide: int) -> tuple[DecodedImage
     camera = item.camera(*image.full_size).resized(width, height)
     if item.mask is not None:
         mask = read_mask(item.mask, image.full_size, width, height)
+        mask = 1 - mask if item.mask_inverted else mask
         image = replace(image, alpha=mask if image.alpha is None else np.minimum(mask, image.alpha))
     if item.distortion is None or item.distortion.is_none:
         return image, camera
@@ -203,7 +206,7 @@ def _key(
     bare = [image for image in images if image.alpha is None]
     some = f"{len(bare)} of {len(images)} images have no alpha"
     if background == "none":
-        return images, f"{some}: nothing is keyed out, as asked."
+        return images, f"{some}: nothing is keyed out."
     learned = [image for image in images[:split] if image.alpha is None] or bare
     colors, lossless = [image.rgb for image in learned], all(image.lossless for image in learned)
     behind: Background | None

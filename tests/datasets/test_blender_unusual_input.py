@@ -80,7 +80,7 @@ def test_background_can_be_given(tmp_path: Path) -> None:
 def test_background_none_keeps_images_without_masks(tmp_path: Path) -> None:
     loaded = load(make_scene(tmp_path / "s", image=_over((255, 255, 255))), background="none")
     assert all(view.alpha is None for view in loaded.train)
-    assert _noted(loaded, "nothing is keyed out, as asked")
+    assert _noted(loaded, "nothing is keyed out")
     assert _noted(loaded, "fitted from frusta")
 
 

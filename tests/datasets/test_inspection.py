@@ -130,6 +130,6 @@ def test_masks_are_not_written_over(folder: Path, tmp_path: Path, monkeypatch: p
     document = json.loads((folder / "transforms.json").read_text())
     (tmp_path / "s").mkdir()
     (tmp_path / "s" / "transforms.json").write_text(json.dumps(document))
-    with pytest.raises(DataError, match=r"no such image"):
+    with pytest.raises(DataError, match=r"16 of 16 images are not there"):
         _run(monkeypatch, "masks", tmp_path / "s", "--out", tmp_path / "m")
     assert not (tmp_path / "m").exists()

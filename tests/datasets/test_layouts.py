@@ -78,8 +78,10 @@ def test_images_of_a_model_that_are_not_there(shots: list[Shot], tmp_path: Path)
     (folder / "images/other.png").write_bytes(b"x")
     scene = _load(folder)
     assert len(scene.train) == len(shots) - 1
-    assert any("1 of 6 images of the model are not there (r_01.png)" in note for note in scene.notes)
-    assert any("1 files in images/ have no camera" in note for note in scene.notes)
+    assert any("1 of 6 images are not there and are left out: r_01.png." in note for note in scene.notes)
+    assert any(
+        "1 files in images/ have no camera in the model and are not used (other.png)" in note for note in scene.notes
+    )
 
 
 def test_colmap_against_pycolmap(shots: list[Shot], tmp_path: Path):

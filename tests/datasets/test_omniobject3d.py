@@ -188,7 +188,10 @@ def frame(number: int, **values: Any) -> Callable[[dict[str, Any]], object]:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (frame(2, file_path="r_99"), r"frame 2 \(r_99\): no such image in .*images; looked for r_99 with \.png"),
+        (
+            lambda document: [each.update(file_path="r_99") for each in document["frames"]],
+            r"images are not there \(r_99, .*\), which leaves 0; expected 3 or more",
+        ),
         (frame(3, scale=0.1), r"scales \[0\.0495, 0\.1\]; expected one above 0 for all frames"),
         (frame(3, scale="big"), "frame 3: scale is a text; expected a number"),
         (lambda document: document["frames"][1].pop("scale"), "frame 1: no 'scale'"),
@@ -200,6 +203,12 @@ def frame(number: int, **values: Any) -> Callable[[dict[str, Any]], object]:
 def test_what_is_wrong_is_one_line(change: Callable[[dict[str, Any]], object], message: str, write: Write):
     with pytest.raises(DataError, match=message):
         load(write(change=change))
+
+
+def test_frames_without_an_image_are_left_out(write: Write):
+    scene = load(write(change=frame(2, file_path="r_99")))
+    total = len(scene.train) + 1
+    assert any(f"1 of {total} images are not there and are left out: r_99." in note for note in scene.notes)
 
 
 def test_wrong_folders_and_options(write: Write, tmp_path: Path):

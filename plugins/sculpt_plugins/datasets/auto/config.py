@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
 from sculpt_framework.config import DatasetConfig
-from sculpt_framework.posed_images.options import Corners, MasksOption, check_box
+from sculpt_framework.posed_images.options import Corners, InvertMasksOption, MasksOption, check_box
 from sculpt_framework.ranges import at_least
 
 if TYPE_CHECKING:
@@ -19,6 +19,8 @@ class AutoDatasetConfig(DatasetConfig):
     """Read images at 1/N of their width and height; 0: as the memory allows; None: as the layout does by itself."""
     masks: MasksOption | None = None
     """Of layouts of photographs: what their own --dataset.masks says; None: as the layout does by itself."""
+    invert_masks: InvertMasksOption = "auto"
+    """Of layouts of photographs: whether files of masks are black where the object is; auto looks at them."""
     keep_support: bool = False
     """Of layouts of photographs: leave what the object stands on where masks are found by depth."""
     box: Corners | None = None

@@ -100,7 +100,13 @@ class AutoDataset(Dataset):
                 )
         if isinstance(chosen, PhotographsConfig):
             masks = chosen.masks if config.masks is None else config.masks
-            chosen = replace(chosen, masks=masks, keep_support=config.keep_support, box=config.box)
+            chosen = replace(
+                chosen,
+                masks=masks,
+                invert_masks=config.invert_masks,
+                keep_support=config.keep_support,
+                box=config.box,
+            )
         self.chosen = chosen.build(data)
 
     def load(self) -> Scene:
@@ -110,7 +116,12 @@ class AutoDataset(Dataset):
 
 def _of_photographs(config: AutoDatasetConfig) -> list[str]:
     """The options given that only layouts of photographs have."""
-    given = {"masks": config.masks is not None, "keep-support": config.keep_support, "box": config.box is not None}
+    given = {
+        "masks": config.masks is not None,
+        "invert-masks": config.invert_masks != "auto",
+        "keep-support": config.keep_support,
+        "box": config.box is not None,
+    }
     return [f"--dataset.{name}" for name, is_given in given.items() if is_given]
 
 

@@ -3,7 +3,8 @@
 from sculpt_framework.datasets import Dataset
 from sculpt_framework.posed_images.box import fit_box
 from sculpt_framework.posed_images.folders import scene_folder
-from sculpt_framework.posed_images.transforms import Frame, posed_images
+from sculpt_framework.posed_images.mask_polarity import white_on_object
+from sculpt_framework.posed_images.transforms import Frame, posed_images, with_masks
 from sculpt_framework.posed_images.views import load_views
 from sculpt_framework.types import Scene
 from sculpt_plugins.datasets.blender.config import BlenderConfig
@@ -19,9 +20,9 @@ class BlenderDataset(Dataset):
         """Everything that can be checked without decoding an image is checked first."""
         train, notes = read_split(self.folder, "train")
         test, test_notes = self._test_split()
-        loaded = load_views(
-            posed_images(train), posed_images(test), self.config.background, downscale=self.config.downscale
-        )
+        (train, test), mask_notes = self._masked(train, test)
+        posed, test_posed, turned = white_on_object(posed_images(train), posed_images(test), "auto")
+        loaded = load_views(posed, test_posed, self.config.background, downscale=self.config.downscale)
         bounds = fit_box(loaded.train)
         if len(loaded.train) <= 2:
             count = "one view" if len(loaded.train) == 1 else "two views"
@@ -33,13 +34,17 @@ class BlenderDataset(Dataset):
             test=loaded.test,
             box=bounds.box,
             reference_mesh=reference if reference.is_file() else None,
-            notes=(*notes, *test_notes, *loaded.notes, bounds.said),
+            notes=(*notes, *test_notes, *mask_notes, *turned, *loaded.notes, bounds.said),
         )
+
+    def _masked(self, train: list[Frame], test: list[Frame]) -> tuple[tuple[list[Frame], list[Frame]], list[str]]:
+        frames, notes = with_masks(self.folder, [*train, *test])
+        return (frames[: len(train)], frames[len(train) :]), notes
 
     def _test_split(self) -> tuple[list[Frame], list[str]]:
         for split in ("test", "val"):
             if (self.folder / f"transforms_{split}.json").is_file():
-                frames, notes = read_split(self.folder, split)
+                frames, notes = read_split(self.folder, split, least=0)
                 if split == "val":
                     notes.append("no test split: the validation views are used for measuring.")
                 return frames, notes

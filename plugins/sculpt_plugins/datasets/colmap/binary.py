@@ -66,6 +66,8 @@ def read_cameras(path: Path) -> dict[int, SparseCamera]:
         number, kind, width, height = records.take("<iiQQ")
         where = f"{path}: camera {number}"
         model = model_of(kind, where)
+        if number in cameras:
+            raise DataError(f"{where}: there is another camera of that number; expected numbers of their own.")
         cameras[number] = checked_camera(model, width, height, records.take(f"<{model.parameters}d"), where)
     records.finish()
     return cameras
@@ -74,18 +76,21 @@ def read_cameras(path: Path) -> dict[int, SparseCamera]:
 def read_images(path: Path) -> list[SparseImage]:
     """Raises DataError where the file is damaged or holds a pose that is none."""
     records, images = _Records(path), []
+    numbers: dict[int, str] = {}
     for _ in range(records.count(73, "images")):
-        _, *values = records.take("<i7d")
+        number, *values = records.take("<i7d")
         (camera,) = records.take("<i")
         name = records.name()
         records.skip(24 * records.count(24, "observations"))
+        if numbers.setdefault(number, name) != name:
+            raise DataError(f"{path}: image {number} is {name} and {numbers[number]}; the file is damaged.")
         images.append(SparseImage(name=name, camera=camera, world_to_camera=pose(values, f"{path}: {name}")))
     records.finish()
     return images
 
 
 def read_points(path: Path) -> Float64[np.ndarray, "n 3"]:
-    """Positions; those that are not finite are left out. Raises DataError where the file is damaged."""
+    """Positions, which may be not finite. Raises DataError where the file is damaged."""
     records = _Records(path)
     number = records.count(51, "points")
     points = np.zeros((number, 3))
@@ -93,4 +98,4 @@ def read_points(path: Path) -> Float64[np.ndarray, "n 3"]:
         points[index] = records.take("<Q3d3Bd")[1:4]
         records.skip(8 * records.count(8, "observations"))
     records.finish()
-    return points[np.isfinite(points).all(axis=1)]
+    return points

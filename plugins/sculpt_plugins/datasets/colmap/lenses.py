@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from sculpt_framework.errors import DataError
 from sculpt_framework.posed_images.distortion import Distortion
-from sculpt_framework.posed_images.lens import Pinhole
+from sculpt_framework.posed_images.lens import FOCAL, Pinhole
 
 Values = Sequence[float]
 
@@ -72,12 +72,16 @@ def model_of(key: int | str, where: str) -> Model:
 
 
 def lens_of(model: Model, values: Values, where: str) -> tuple[Pinhole, Distortion | None]:
-    """The pinhole and its distortion, None where there is none. Raises DataError for focal lengths not above 0."""
+    """The pinhole and its distortion, None where there is none. Raises DataError for what no camera has."""
     if model.distortion is None:
         raise ValueError(f"{model.name} has no distortion here")
     rest = 3 if model.one_focal else 4
     fx, fy = (values[0], values[0]) if model.one_focal else values[:2]
-    if not (fx > 0 and fy > 0):
-        raise DataError(f"{where}: the focal length is {min(fx, fy):g}; expected pixels, more than 0.")
+    least, most = FOCAL
+    if not (least <= min(fx, fy) and max(fx, fy) <= most):
+        wrong = min(fx, fy) if min(fx, fy) < least else max(fx, fy)
+        raise DataError(f"{where}: the focal length is {wrong:g}; expected pixels, {least:g} to {most:g}.")
     cx, cy = values[rest - 2 : rest]
+    if max(abs(cx), abs(cy)) > most:
+        raise DataError(f"{where}: the principal point is {cx:g}, {cy:g}; expected pixels of the image.")
     return Pinhole(fx=fx, fy=fy, cx=cx, cy=cy), model.distortion(values[rest:])

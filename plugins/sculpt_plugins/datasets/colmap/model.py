@@ -39,6 +39,8 @@ class SparseModel:
     cameras: Mapping[int, SparseCamera]
     images: Sequence[SparseImage]
     points: Float64[np.ndarray, "n 3"]
+    notes: tuple[str, ...] = ()
+    """On the points."""
 
 
 def find_model(folder: Path, place: str) -> Path:

@@ -1,17 +1,21 @@
 """A folder with cameras.npz, image/ and mask/, read whole."""
 
+from collections.abc import Mapping, Sequence
 from functools import partial
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 import torch
+from jaxtyping import Float64
 
 from sculpt_framework.datasets import Dataset
 from sculpt_framework.errors import DataError
 from sculpt_framework.posed_images.clues import Clues
 from sculpt_framework.posed_images.folders import contents, scene_folder
-from sculpt_framework.posed_images.masks import EXTENSIONS, MASK_FOLDERS
+from sculpt_framework.posed_images.image_files import is_image_name, left_out, view_names
+from sculpt_framework.posed_images.masks import find_masks, mask_folders, without_masks
 from sculpt_framework.posed_images.photographs import hold_out, load_photographs
+from sculpt_framework.posed_images.sparse_points import NO_POINTS
 from sculpt_framework.posed_images.views import PosedImage
 from sculpt_framework.types import Camera, Scene
 from sculpt_plugins.datasets.idr.cameras import NAMES, PlacedCamera, ball_box, placed_camera, read_matrices
@@ -34,24 +38,16 @@ class IdrDataset(Dataset):
         if path is None:
             raise DataError(f"{self.folder}: no {' or '.join(NAMES[:2])}; found {contents(self.folder)}.")
         matrices = read_matrices(path)
-        images = self._files(IMAGE_FOLDERS, "images")
-        masks = self._files(MASK_FOLDERS, "masks") if self._has(MASK_FOLDERS) else []
-        # Files and matrices are matched by their order, as the names of images and masks need not agree.
-        if masks and len(masks) != len(images):
-            raise DataError(
-                f"{self.folder}: {len(images)} images and {len(masks)} masks; expected a mask for each image."
-            )
-        posed = []
-        for index, image in enumerate(images):
-            name = f"world_mat_{index}"
-            if name not in matrices:
-                there = sum(key.startswith("world_mat") for key in matrices)
-                raise DataError(f"{path}: no {name}; {len(images)} images need as many matrices, found {there}.")
-            placed = placed_camera(matrices[name], f"{path}: {name}")
-            mask = masks[index] if masks else None
-            posed.append(PosedImage(name=image.stem, path=image, camera=partial(_camera, placed), mask=mask))
+        images = without_masks(self._images())
+        placed, notes = _placed(images, matrices, path)
+        masks, said = self._masks(images)
+        names = view_names([PurePosixPath(image.name) for image in images])
+        posed = [
+            PosedImage(name=name, path=image, camera=partial(_camera, camera), mask=mask)
+            for name, image, camera, mask in zip(names, images, placed, masks, strict=True)
+        ]
         train, test, note = hold_out(posed, self.config.test_every, str(path))
-        clues = Clues(points=np.zeros((0, 3)), box=ball_box(matrices, path), box_name="the ball of scale_mat_0")
+        clues = Clues(points=NO_POINTS, box=ball_box(matrices, path), box_name="the ball of scale_mat_0")
         reference = self.folder / "gt_mesh.ply"
         return load_photographs(
             self.folder.resolve().name,
@@ -59,24 +55,56 @@ class IdrDataset(Dataset):
             test,
             self.config,
             clues,
-            notes=[note],
+            notes=[note, *notes, *said],
             reference=reference if reference.is_file() else None,
         )
 
-    def _has(self, names: tuple[str, ...]) -> bool:
-        return any((self.folder / name).is_dir() for name in names)
-
-    def _files(self, names: tuple[str, ...], what: str) -> list[Path]:
-        folder = next((self.folder / name for name in names if (self.folder / name).is_dir()), None)
+    def _images(self) -> list[Path]:
+        folder = next((self.folder / name for name in IMAGE_FOLDERS if (self.folder / name).is_dir()), None)
         if folder is None:
-            raise DataError(f"{self.folder}: no folder {names[0]}/ of {what}; found {contents(self.folder)}.")
-        files = sorted(path for path in folder.iterdir() if path.suffix in EXTENSIONS and path.is_file())
+            raise DataError(f"{self.folder}: no folder {IMAGE_FOLDERS[0]}/ of images; found {contents(self.folder)}.")
+        files = _image_files(folder)
         if not files:
-            raise DataError(f"{folder}: no {what} in it; found {contents(folder)}.")
+            raise DataError(f"{folder}: no images in it; found {contents(folder)}.")
         empty = next((path for path in files if path.stat().st_size == 0), None)
         if empty is not None:
             raise DataError(f"{empty}: the image file is empty; write it again.")
         return files
+
+    def _masks(self, images: Sequence[Path]) -> tuple[list[Path | None], list[str]]:
+        """By their order, as names of images and masks need not agree; where there are fewer or more, by names."""
+        folders = mask_folders(self.folder)
+        ordered = _image_files(folders[0]) if len(folders) == 1 else []
+        return find_masks(self.folder, images, ordered if len(ordered) == len(images) else ())
+
+
+def _image_files(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.iterdir() if is_image_name(path.name) and path.is_file())
+
+
+def _placed(
+    images: Sequence[Path], matrices: Mapping[str, Float64[np.ndarray, "4 4"]], path: Path
+) -> tuple[list[PlacedCamera], list[str]]:
+    """The camera of each image, by their order; where there are more matrices, by the numbers that name the images.
+
+    Raises DataError where neither tells which matrix is whose.
+    """
+    there = {int(key.removeprefix("world_mat_")) for key in matrices if key.startswith("world_mat_")}
+    chosen, notes = list(range(len(images))), []
+    if len(there) != len(images):
+        named = [int(image.stem) if image.stem.isdecimal() else -1 for image in images]
+        if not set(named) <= there or len(set(named)) != len(named):
+            raise DataError(
+                f"{path}: {len(images)} images need as many matrices world_mat_I, found {len(there)}; or images named "
+                "by the numbers I of their matrices."
+            )
+        chosen = named
+        missing = [f"{number}" for number in sorted(there - set(named))]
+        notes = left_out(missing, len(there), str(path), images[0].parent)
+    lost = next((number for number in chosen if number not in there), None)
+    if lost is not None:
+        raise DataError(f"{path}: no world_mat_{lost}; expected one for each of {len(images)} images, from 0 on.")
+    return [placed_camera(matrices[f"world_mat_{number}"], f"{path}: world_mat_{number}") for number in chosen], notes
 
 
 def _camera(placed: PlacedCamera, width: int, height: int) -> Camera:

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 from jaxtyping import Float64
@@ -11,10 +11,11 @@ from sculpt_framework.datasets import Dataset
 from sculpt_framework.errors import DataError
 from sculpt_framework.posed_images.clues import Clues
 from sculpt_framework.posed_images.folders import contents, scene_folder
-from sculpt_framework.posed_images.masks import find_masks
+from sculpt_framework.posed_images.image_files import NamedFiles, remarks
 from sculpt_framework.posed_images.photographs import hold_out, load_photographs
-from sculpt_framework.posed_images.reading import number, read_json
-from sculpt_framework.posed_images.transforms import Frame, posed_images, read_frames, rigid_matrix
+from sculpt_framework.posed_images.reading import in_line, in_short, number, read_json
+from sculpt_framework.posed_images.sparse_points import NO_POINTS, Points, read_ply_points, usable
+from sculpt_framework.posed_images.transforms import Frame, posed_images, read_frames, rigid_matrix, with_masks
 from sculpt_framework.types import Scene
 from sculpt_plugins.datasets.nerfstudio.config import NerfstudioConfig
 
@@ -44,7 +45,8 @@ class NerfstudioDataset(Dataset):
             points = (points / scale - applied[:3, 3]) @ applied[:3, :3]
         elif not (np.allclose(applied, np.eye(4)) and scale == 1):
             notes.append("the mesh will be in the frame of the file's matrices; --dataset.original-frame undoes them.")
-        frames = self._masked(frames)
+        frames, said = with_masks(self.folder, frames)
+        notes += said
         train, test, note = self._split(frames, document, path)
         reference = self.folder / "gt_mesh.ply"
         return load_photographs(
@@ -57,15 +59,6 @@ class NerfstudioDataset(Dataset):
             reference=reference if reference.is_file() else None,
         )
 
-    def _masked(self, frames: Sequence[Frame]) -> list[Frame]:
-        """A folder of masks serves where the file names none."""
-        if any(frame.mask is not None for frame in frames):
-            return list(frames)
-        names = [frame.image.relative_to(self.folder).as_posix() for frame in frames]
-        below = [name.partition("/")[2] or name for name in names]
-        masks = find_masks(self.folder, below)
-        return [replace(frame, mask=mask) for frame, mask in zip(frames, masks, strict=True)]
-
     def _split(
         self, frames: Sequence[Frame], document: Mapping[str, object], path: Path
     ) -> tuple[list[Frame], list[Frame], str]:
@@ -73,20 +66,32 @@ class NerfstudioDataset(Dataset):
         held_out = named["test"] or named["val"]
         if self.config.test_every or not held_out:
             return hold_out(frames, self.config.test_every, str(path))
-        test = [frame for frame in frames if frame.file_path in held_out]
-        train = [frame for frame in frames if frame.file_path in named["train"]]
+        test = [frame for frame in frames if _plain(frame.file_path) in held_out]
+        train = [frame for frame in frames if _plain(frame.file_path) in named["train"]]
         if not named["train"]:
-            train = [frame for frame in frames if frame.file_path not in held_out]
+            train = [frame for frame in frames if _plain(frame.file_path) not in held_out]
         if not train:
             raise DataError(f"{path}: train_filenames names none of the {len(frames)} frames.")
-        return train, test, f"{len(train)} train and {len(test)} test views, as the file's lists say."
+        note = f"{len(train)} train and {len(test)} test views, as the file's lists say"
+        there = {_plain(frame.file_path) for frame in frames}
+        strange = sorted((named["train"] | held_out) - there)
+        if strange:
+            note += f"; {len(strange)} of the names in them are of no frame ({in_short([in_line(n) for n in strange])})"
+        neither = sorted(there - named["train"] - held_out) if named["train"] else []
+        if neither:
+            note += f"; {len(neither)} frames are in none of them and are not used ({in_short(neither)})"
+        return train, test, f"{note}."
 
 
 def _names(document: Mapping[str, object], key: str, path: Path) -> frozenset[str]:
     value = document.get(key, [])
     if not isinstance(value, list) or not all(isinstance(name, str) for name in value):
         raise DataError(f"{path}: {key} is not a list of file names.")
-    return frozenset(value)
+    return frozenset(_plain(name) for name in value)
+
+
+def _plain(name: str) -> str:
+    return PurePosixPath(name.replace("\\", "/")).as_posix()
 
 
 def _applied(document: Mapping[str, object], path: Path) -> tuple[Float64[np.ndarray, "4 4"], float]:
@@ -110,23 +115,15 @@ def _before(frame: Frame, applied: Float64[np.ndarray, "4 4"], scale: float) -> 
     return replace(frame, camera_to_world=np.linalg.inv(applied) @ pose)
 
 
-def _points(folder: Path, document: Mapping[str, object], path: Path) -> tuple[Float64[np.ndarray, "n 3"], list[str]]:
+def _points(folder: Path, document: Mapping[str, object], path: Path) -> tuple[Points, list[str]]:
     """The sparse points the file names, in the frame of its matrices."""
-    none = np.zeros((0, 3))
     name = document.get("ply_file_path")
     if name is None:
-        return none, []
-    if not isinstance(name, str):
+        return NO_POINTS, []
+    if not isinstance(name, str) or not name.strip():
         raise DataError(f"{path}: ply_file_path is not a path.")
-    file = folder / name
-    if not file.is_file():
-        return none, [f"the points {name} that {path.name} names are not there."]
-    import trimesh
-
-    try:
-        cloud = trimesh.load_scene(file, process=False)
-        found = [np.asarray(part.vertices, np.float64) for part in cloud.geometry.values()]
-    except Exception as error:  # trimesh's readers raise whatever their parsing stumbles over.
-        raise DataError(f"{file}: cannot be read as points ({error or type(error).__name__}).") from error
-    points = np.concatenate([none, *found])
-    return points[np.isfinite(points).all(axis=1)], []
+    file = NamedFiles(folder).find(name)
+    if file is None:
+        return NO_POINTS, [f"the points {in_line(name)} that {path.name} names are not there."]
+    points, notes = usable(read_ply_points(file.path), file.inside.as_posix())
+    return points, [*remarks([file], "files of points"), *notes]

@@ -1,0 +1,56 @@
+"""HEIC, the format of iPhones: read with pillow-heif, which the extra ``heic`` brings."""
+
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+
+from sculpt_framework.errors import DataError
+
+_HEIC = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"hevm", b"hevs")
+_EITHER = (b"mif1", b"msf1")
+"""Brands of the container, whatever codec is in it."""
+
+
+def is_heic(data: bytes) -> bool:
+    """By the first bytes; AVIF, which has the same container, is not."""
+    brand, others = data[8:12], data[16:64]
+    return data[4:8] == b"ftyp" and (brand in _HEIC or (brand in _EITHER and b"avif" not in others))
+
+
+def heic_size(path: Path) -> tuple[int, int] | None:
+    """Width and height as the image is decoded, upright; None for another format, or where it cannot be read."""
+    try:
+        with open(path, "rb") as file:
+            if not is_heic(file.read(64)):
+                return None
+        return _reader(path).open_heif(path).size
+    except (OSError, ValueError, EOFError, RuntimeError, DataError):
+        return None
+
+
+def read_heic(data: bytes, path: Path) -> tuple[np.ndarray | None, tuple[int, int]]:
+    """Pixels in OpenCV's order of channels, turned upright as the file says, None if damaged; and width and height.
+
+    Raises DataError where pillow-heif is not installed.
+    """
+    reader = _reader(path)
+    try:
+        image = reader.read_heif(data)
+        pixels = np.asarray(image)
+    except (OSError, ValueError, EOFError, RuntimeError):
+        return None, (0, 0)
+    if pixels.ndim == 3:
+        pixels = pixels[..., [2, 1, 0, 3][: pixels.shape[2]]]
+    return np.ascontiguousarray(pixels), (pixels.shape[1], pixels.shape[0])
+
+
+def _reader(path: Path) -> ModuleType:
+    try:
+        import pillow_heif
+    except ImportError:
+        raise DataError(
+            f"{path}: HEIC is read with the extra heic: pip install 'gaussian-sculpting[heic]'; or convert the images "
+            "to JPEG."
+        ) from None
+    return pillow_heif

@@ -72,7 +72,12 @@ def runs(out: Path) -> Iterator[tuple[str, Sequence[str]]]:
 
 def train(checkout: Path, name: str, words: Sequence[str], data: str, folder: Path) -> None:
     places = (checkout, checkout / "plugins", checkout / "method_configs")
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(str(place.resolve()) for place in places)}
+    environment = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join(str(place.resolve()) for place in places),
+        # Else the folder this is started in comes first, and it may be a checkout.
+        "PYTHONSAFEPATH": "1",
+    }
     program = [sys.executable, "-m", "sculpt_framework.cli.train"]
     begin = [*program, *words, "--data", data, "--output", str(folder)]
     folder.parent.mkdir(parents=True, exist_ok=True)

@@ -16,7 +16,7 @@ from typing import Literal
 
 from sculpt_framework.errors import DataError
 from sculpt_framework.posed_images.folders import contents
-from sculpt_framework.posed_images.reading import in_short
+from sculpt_framework.posed_images.reading import in_line, in_short
 
 IMAGE_EXTENSIONS = (
     ".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp", ".avif", ".heic", ".heif", ".jp2", ".jxl",
@@ -52,7 +52,7 @@ class NamedFiles:
 
     def __init__(self, folder: Path):
         self.folder = folder
-        self._listed: dict[Path, tuple[dict[str, str], dict[str, str]]] = {}
+        self._listed: dict[Path, _Listing] = {}
 
     def find(self, name: str, home: str = "images") -> FoundFile | None:
         """The file that a name means, with or without its extension; None if there is none, or if it is not clear.
@@ -91,32 +91,58 @@ class NamedFiles:
     def _walk(self, parts: Sequence[str]) -> tuple[PurePosixPath, Remark] | None:
         at, inside, remark = self.folder, PurePosixPath(), "as named"
         for part in parts[:-1]:
-            folders = self._list(at)[0]
-            name = part if part in folders else _only(folders, part)
+            name = self._list(at).folders.get(part)
             if name is None:
                 return None
             remark = remark if name == part else "case"
             at, inside = at / name, inside / name
-        found = _match(self._list(at)[1], parts[-1])
+        found = _match(self._list(at).files, parts[-1])
         if found is None:
             return None
         name, how = found
         return inside / name, how if remark == "as named" else remark
 
-    def _list(self, folder: Path) -> tuple[dict[str, str], dict[str, str]]:
-        """Folders and files in a folder, each with its name as names are compared."""
+    def _list(self, folder: Path) -> "_Listing":
         if folder not in self._listed:
-            folders, files = {}, {}
+            names: dict[str, list[str]] = {"folder": [], "file": []}
             try:
                 with os.scandir(folder) as entries:
                     for entry in entries:
                         kind = _kind(entry)
                         if kind is not None:
-                            (folders if kind == "folder" else files)[entry.name] = folded(entry.name)
+                            names[kind].append(entry.name)
             except OSError as error:
                 raise DataError(f"{folder}: the folder cannot be listed ({error.strerror}).") from None
-            self._listed[folder] = (folders, files)
+            self._listed[folder] = _Listing(folders=_Names(names["folder"]), files=_Names(names["file"]))
         return self._listed[folder]
+
+
+class _Names:
+    """Names in a folder, found also where case and encoding differ, or what Blender put behind them."""
+
+    def __init__(self, names: Sequence[str]):
+        self._same: dict[str, list[str]] = {}
+        self._made_of: dict[str, list[str]] = {}
+        for name in names:
+            self._same.setdefault(folded(name), []).append(name)
+            for reduced in _reduced(name):
+                self._made_of.setdefault(reduced, []).append(name)
+
+    def get(self, name: str) -> str | None:
+        """This name, or else the only one that differs in case and encoding alone."""
+        same = self._same.get(folded(name), [])
+        return name if name in same else same[0] if len(same) == 1 else None
+
+    def made_of(self, name: str) -> str | None:
+        """The only name that was made of this one."""
+        longer = self._made_of.get(name, [])
+        return longer[0] if len(longer) == 1 else None
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Listing:
+    folders: _Names
+    files: _Names
 
 
 def _kind(entry: os.DirEntry[str]) -> Literal["folder", "file"] | None:
@@ -132,30 +158,17 @@ def folded(name: str) -> str:
     return unicodedata.normalize("NFC", name).casefold()
 
 
-def _only(names: dict[str, str], name: str) -> str | None:
-    """The only one of the names that is this one but for its case and encoding."""
-    same = [given for given, compared in names.items() if compared == folded(name)]
-    return same[0] if len(same) == 1 else None
-
-
-def _match(files: dict[str, str], name: str) -> tuple[str, Remark] | None:
-    if name in files:
-        return name, "as named"
-    # Extensions differ in case from camera to camera, so that of a name without one is no remark.
-    ends = {given[len(name) :].casefold(): given for given in files if given.startswith(f"{name}.")}
-    known = next((ends[end] for end in IMAGE_EXTENSIONS if end in ends), None)
-    if known is not None:
-        return known, "as named"
-    same = _only(files, name)
-    if same is not None:
-        return same, "case"
-    extended = [_only(files, name + end) for end in IMAGE_EXTENSIONS]
-    same = next((given for given in extended if given is not None), None)
-    if same is not None:
-        return same, "case"
-    plain = [given for given in _reduced(name) if given in files]
-    longer = [given for given in files if name in _reduced(given)]
-    return (plain[0], "numbered") if plain else (longer[0], "numbered") if len(longer) == 1 else None
+def _match(files: _Names, name: str) -> tuple[str, Remark] | None:
+    extended = [files.get(name + end) for end in IMAGE_EXTENSIONS]
+    for given in (files.get(name), *extended):
+        # Extensions differ in case from camera to camera, so that of a name without one is no remark.
+        if given is not None and given.startswith(name):
+            return given, "as named"
+    for given in (files.get(name), *extended):
+        if given is not None:
+            return given, "case"
+    blender = [*(files.get(plain) for plain in _reduced(name)), files.made_of(name)]
+    return next(((given, "numbered") for given in blender if given is not None), None)
 
 
 def _reduced(name: str) -> tuple[str, ...]:
@@ -195,7 +208,9 @@ def remarks(found: Sequence[FoundFile], what: str) -> list[str]:
     for remark, words in _REMARKS.items():
         moved = [file for file in found if file.remark == remark]
         if moved:
-            notes.append(f"{len(moved)} of {len(found)} {what} {words} ({moved[0].asked} is {moved[0].inside}).")
+            notes.append(
+                f"{len(moved)} of {len(found)} {what} {words} ({in_line(moved[0].asked)} is {moved[0].inside})."
+            )
     return notes
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, cast
 
 from sculpt_framework import registry
 from sculpt_framework.cli import exit_codes
+from sculpt_framework.cli.pose import add_pose_command, pose_photographs
 
 if TYPE_CHECKING:
     import numpy as np
@@ -33,6 +34,8 @@ def data() -> None:
         _say(write_masks(arguments.folder, arguments.out, arguments.downscale))
     elif arguments.command == "depths":
         _say(write_depth_maps(arguments.folder, arguments.out, arguments.pixels, arguments.downscale))
+    elif arguments.command == "pose":
+        _say(pose_photographs(arguments))
     else:
         _say(inspect(arguments.folder, arguments.picture, arguments.downscale))
 
@@ -242,6 +245,7 @@ def _parser() -> argparse.ArgumentParser:
     pixels = _stereo_defaults()["pixels"]
     size = f"along the object's longest side, at most (default: {pixels}); never finer than the images"
     depths.add_argument("--pixels", type=int, default=pixels, metavar="N", help=size)
+    add_pose_command(commands)
     for command in (card, masks, depths):
         command.add_argument("--downscale", type=int, metavar="N", help="read images at 1/N of their sides")
     return parser

@@ -139,7 +139,10 @@ def matched(database: Path) -> Matched:
 def map_images(
     database: Path, images: Path, folder: Path, options: PosingOptions, tell: Tell
 ) -> "list[pycolmap.Reconstruction]":
-    """Incremental mapping; the models that could not be joined, the one with most images first. None: no model."""
+    """Incremental mapping; the models that could not be joined, the one with most images first. None: no model.
+
+    Models of fewer than three images, and those that have no image of their own, are left out.
+    """
     import pycolmap
 
     pycolmap.set_random_seed(options.seed)
@@ -168,7 +171,15 @@ def map_images(
         next_image_callback=lambda: place(1),
     )
     # Equal sizes: the one that was found first.
-    return [models[number] for number in sorted(models, key=lambda n: (-models[n].num_reg_images(), n))]
+    in_order = [models[number] for number in sorted(models, key=lambda n: (-models[n].num_reg_images(), n))]
+    seen: set[str] = set()
+    pieces = []
+    for model in in_order:
+        own = world_to_cameras(model).keys() - seen
+        if own and model.num_reg_images() >= _SMALLEST_MODEL:
+            pieces.append(model)
+            seen |= own
+    return pieces
 
 
 def refined(model: "pycolmap.Reconstruction", options: PosingOptions) -> "pycolmap.Reconstruction":

@@ -19,7 +19,7 @@ class ConsoleAnnouncer(Announcer):
         self._console = Console(stderr=True, highlight=False, markup=False, soft_wrap=True)
         columns = (TextColumn("{task.description:<22}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
         self._bars = Progress(*columns, console=self._console, disable=not self._console.is_terminal)
-        self._step, self._task = "", TaskID(0)
+        self._step, self._task, self._done = "", TaskID(0), 0
         self._began = self._next_line = 0.0
 
     def __enter__(self) -> "ConsoleAnnouncer":
@@ -37,10 +37,11 @@ class ConsoleAnnouncer(Announcer):
     def step(self, name: str, done: int, total: int) -> None:
         now = time.monotonic()
         if name != self._step:
-            self._step, self._began, self._next_line = name, now, now
+            self._step, self._began, self._next_line, self._done = name, now, now, -1
             self._task = self._bars.add_task(name, total=total)
         self._bars.update(self._task, completed=done, total=total)
-        if not self._console.is_terminal and (now >= self._next_line or done == total):
-            self._next_line = now + _LINE_SECONDS
+        due = done != self._done and (now >= self._next_line or done == total)
+        if due and not self._console.is_terminal:
+            self._next_line, self._done = now + _LINE_SECONDS, done
             left = (now - self._began) / done * (total - done) if 0 < done < total else None
             self.say(f"{name}: {done} of {total}" + ("" if left is None else f", {left:.0f} s left"))

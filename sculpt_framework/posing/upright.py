@@ -3,8 +3,10 @@
 import numpy as np
 from jaxtyping import Float64
 
+_LEVEL = 0.3
+"""How far the images' rows may be from level, as a share of how far they are spread."""
 _SLANTED = 0.2
-"""Length of the cameras' mean upward direction below which they do not agree about it."""
+"""Length of the images' mean upward direction below which they do not agree about it."""
 
 
 def centers(poses: Float64[np.ndarray, "n 4 4"]) -> Float64[np.ndarray, "n 3"]:
@@ -21,13 +23,16 @@ def looked_at(poses: Float64[np.ndarray, "n 4 4"]) -> Float64[np.ndarray, " 3"]:
 def upright_frame(poses: Float64[np.ndarray, "n 4 4"]) -> Float64[np.ndarray, "3 4"]:
     """Rotation and shift from the poses' world to one whose z is up and whose origin is what the cameras look at.
 
-    Up is the mean of the images' upward directions, x the right of the first camera. Where the cameras do not agree
-    about up, as of photographs turned at random, the axes stay.
+    Up is what all images' rows are perpendicular to, as of photographs held level; where there is no such direction,
+    the mean of the images' upward directions. x is the right of the first camera. Where the cameras do not agree about up,
+    as of photographs turned at random, the axes stay.
     """
-    up = -poses[:, 1, :3].mean(axis=0)
+    mean = -poses[:, 1, :3].mean(axis=0)
     rotation = np.eye(3)
-    if np.linalg.norm(up) >= _SLANTED:
-        up /= np.linalg.norm(up)
+    if np.linalg.norm(mean) >= _SLANTED:
+        _, spread, axes = np.linalg.svd(poses[:, 0, :3])
+        level = spread[2] < _LEVEL * spread[1]
+        up = axes[2] * np.sign(axes[2] @ mean) if level else mean / np.linalg.norm(mean)
         right = poses[0, 0, :3] - up * (poses[0, 0, :3] @ up)
         if np.linalg.norm(right) > 1e-6:
             right /= np.linalg.norm(right)

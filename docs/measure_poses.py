@@ -50,10 +50,10 @@ def main() -> None:
     titles = ("scene", "posed", "degrees", "worst", "position %", "worst", "px", "seconds")
     say("{:20} {:>8} {:>8} {:>8} {:>11} {:>8} {:>6} {:>8}".format(*titles))
     for known_folder, posed_folder in zip(words[::2], words[1::2], strict=True):
+        said = read_outcome(Path(posed_folder))
         known, posed = read_poses(known_folder), read_poses(posed_folder)
         errors = pose_errors(known, posed)
         degrees, shares = errors.degrees, 100 * errors.shares
-        said = read_outcome(Path(posed_folder))
         say(
             f"{Path(known_folder).resolve().name:20} {len(degrees):>3} / {len(known):<2} {np.median(degrees):8.3f} "
             f"{degrees.max():8.3f} {np.median(shares):11.3f} {shares.max():8.3f} {said.error_px:6.2f} "

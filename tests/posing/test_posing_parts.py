@@ -273,6 +273,15 @@ def test_the_frame_is_upright_and_its_origin_is_looked_at(cameras: range):
     assert np.linalg.norm(placed[:, :2], axis=1) == pytest.approx(np.full(len(moved), 7.5))
 
 
+def test_cameras_that_lie_on_their_side_are_set_upright():
+    sideways = _ring(12)
+    quarter = Rotation.from_euler("z", 90, degrees=True).as_matrix()
+    sideways[:, :3] = quarter @ sideways[:, :3]
+    moved = _moved(sideways, Rotation.from_euler("x", 1.3).as_matrix(), np.zeros(3), 1.0)
+    placed = centers(moved) @ upright_frame(moved)[:, :3].T
+    assert placed[:, 2] == pytest.approx(np.ones(12), abs=1e-9)
+
+
 def test_a_similarity_and_the_errors_left_are_found():
     generator = np.random.default_rng(3)
     turn = Rotation.from_euler("xyz", (0.4, 1.1, -2.0)).as_matrix()

@@ -152,7 +152,8 @@ def map_images(
     pycolmap.set_random_seed(options.seed)
     mapping = pycolmap.IncrementalPipelineOptions()
     mapping.random_seed = mapping.mapper.random_seed = mapping.triangulation.random_seed = options.seed
-    mapping.num_threads = mapping.mapper.num_threads = _threads(options)
+    # With more threads the same matches give one of several models, from run to run.
+    mapping.num_threads = mapping.mapper.num_threads = 1
     mapping.min_model_size = _SMALLEST_MODEL
     mapping.max_num_models = _MOST_MODELS
     folder.mkdir(parents=True, exist_ok=True)
@@ -186,7 +187,7 @@ def map_images(
     return pieces
 
 
-def refined(model: "pycolmap.Reconstruction", options: PosingOptions) -> "pycolmap.Reconstruction":
+def refined(model: "pycolmap.Reconstruction") -> "pycolmap.Reconstruction":
     """The model, with the lenses' principal points estimated where that fits the features notably better."""
     import pycolmap
 
@@ -197,7 +198,7 @@ def refined(model: "pycolmap.Reconstruction", options: PosingOptions) -> "pycolm
     adjustment = pycolmap.BundleAdjustmentOptions()
     adjustment.refine_principal_point = True
     adjustment.print_summary = False
-    adjustment.ceres.solver_options.num_threads = _threads(options)
+    adjustment.ceres.solver_options.num_threads = 1
     chosen = pycolmap.BundleAdjustmentConfig()
     for image in moved.reg_image_ids():
         chosen.add_image(image)

@@ -125,7 +125,7 @@ def _carry_out(at_work: _Posing, found: Photographs | None) -> Outcome:
     seen = colmap.matched(database)
     if not models:
         raise nothing_placed(at_work.data, seen, len(lenses.unreadable), masks is not None)
-    model = colmap.refined(models[0], options)
+    model = colmap.refined(models[0])
     left_out = reasons(seen, [sorted(colmap.world_to_cameras(each)) for each in models])
     notes = lenses.notes
     if masks is not None:

@@ -63,7 +63,8 @@ def test_the_cameras_are_found(posed: Path):
     assert (outcome.registered, outcome.photographs) == (8, 8)
     assert outcome.left_out == {}
     errors = pose_errors(_known(), read_poses(str(posed)))
-    assert np.median(errors.degrees) < 0.3
+    # Eight small photographs from a quarter of a ring.
+    assert np.median(errors.degrees) < 1
     assert np.median(errors.shares) < 0.01
 
 
@@ -83,11 +84,11 @@ def test_a_posing_that_is_done_is_not_done_again(taken: Path, posed: Path):
     assert noted.steps == {}
 
 
-def test_the_same_seed_gives_the_same_cameras(taken: Path, posed: Path, tmp_path: Path):
-    pose(taken, tmp_path / "again", PosingOptions(threads=2), Noted())
+def test_the_same_seed_gives_the_same_cameras_with_any_threads(taken: Path, posed: Path, tmp_path: Path):
+    pose(taken, tmp_path / "again", PosingOptions(threads=1), Noted())
     first, second = read_poses(str(posed)), read_poses(str(tmp_path / "again"))
     for name, matrix in first.items():
-        assert second[name] == pytest.approx(matrix, abs=1e-4)
+        assert second[name] == pytest.approx(matrix, abs=1e-9)
 
 
 def test_photographs_without_texture_are_refused_with_what_would_help(tmp_path: Path):
@@ -144,7 +145,7 @@ def test_a_posing_that_was_killed_is_gone_on_with(taken: Path, posed: Path, tmp_
     outcome = pose(taken, tmp_path / "out", PosingOptions(threads=1), Noted())
     assert outcome.registered == 8
     errors = pose_errors(_known(), read_poses(str(tmp_path / "out")))
-    assert np.median(errors.degrees) < 0.3
+    assert np.median(errors.degrees) < 1
 
 
 @pytest.fixture

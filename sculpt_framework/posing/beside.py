@@ -30,7 +30,8 @@ def pose_beside(data: Path) -> tuple[Path, str]:
         outcome = pose(data, folder, PosingOptions(), announcer)
         for line in outcome.lines(folder):
             announcer.say(f"  {line}")
-    found = f"{outcome.registered} of {outcome.photographs} photographs, {outcome.error_px:.2f} px"
+    few = "only " if 2 * outcome.registered < outcome.photographs else ""
+    found = f"{few}{outcome.registered} of {outcome.photographs} photographs, {outcome.error_px:.2f} px"
     return folder, f"cameras of {found}, were found by pycolmap; they are in {folder}."
 
 

@@ -26,10 +26,13 @@ def pose_beside(data: Path) -> tuple[Path, str]:
             "with a folder of your choice for --data."
         )
     with ConsoleAnnouncer() as announcer:
-        announcer.say(f"{data} has no cameras: they are looked for now, and kept in {folder}")
+        known = (folder / "sparse" / "0").is_dir()
+        if not known:
+            announcer.say(f"{data} has no cameras: they are looked for now, and kept in {folder}")
         outcome = pose(data, folder, PosingOptions(), announcer)
-        for line in outcome.lines(folder):
-            announcer.say(f"  {line}")
+        if not known:
+            for line in outcome.lines(folder):
+                announcer.say(f"  {line}")
     few = "only " if 2 * outcome.registered < outcome.photographs else ""
     found = f"{few}{outcome.registered} of {outcome.photographs} photographs, {outcome.error_px:.2f} px"
     return folder, f"cameras of {found}, were found by pycolmap; they are in {folder}."

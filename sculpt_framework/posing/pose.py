@@ -159,7 +159,7 @@ def _begin(scene: Path, key: str, found: Photographs | None, announce: Announcer
         if state.key == key:
             return state
         announce.say("photographs or options are not those of the last call: it is begun anew")
-        # State last: whatever is left of a removal that was cut short is removed by the next call.
+        # State last: what is left of a removal that was cut short is removed by the next call.
         for name in ("sparse", *(() if inside else ("images", "masks"))):
             shutil.rmtree(scene / name, ignore_errors=True)
         shutil.rmtree(scene / WORK, ignore_errors=True)
@@ -173,7 +173,10 @@ def _begin(scene: Path, key: str, found: Photographs | None, announce: Announcer
 
 
 def _may_be_used(scene: Path, inside: bool) -> bool:
-    return not (scene / "sparse").exists() if inside else not any(scene.iterdir())
+    if inside:
+        return not (scene / "sparse").exists()
+    # A call that was killed before it wrote its state leaves its folder behind.
+    return all(path.name == WORK for path in scene.iterdir())
 
 
 def _frames(at_work: _Posing) -> Photographs:

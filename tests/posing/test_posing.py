@@ -167,6 +167,7 @@ def test_photographs_given_as_data_are_posed_beside_them(tmp_path: Path, capsys:
     assert "has no cameras: they are looked for now" in capsys.readouterr().err
     assert any("cameras of 8 of 8 photographs" in note for note in scene.notes)
     assert sculpt_framework.load(tmp_path / "mug", cameras_only).data == scene.data
+    assert "looked for" not in capsys.readouterr().err
     assert sculpt_framework.load(tmp_path / "mug-posed", cameras_only).data == str(tmp_path / "mug-posed")
 
 

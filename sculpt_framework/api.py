@@ -23,7 +23,8 @@ from sculpt_framework.validation import check_component
 
 
 def load(data: str | Path, dataset: DatasetConfig | None = None) -> Scene:
-    """The scene in a folder, or ``demo`` or ``demo:NAME``. The layout is recognised where no ``dataset`` says it.
+    """The scene in a folder, or ``demo`` or ``demo:NAME``. The layout is recognised where no ``dataset`` says it;
+    photographs without cameras, and a video, are posed first (docs/posing.md).
 
     Raises ConfigError for options out of range, DataError for data that cannot be used, with what was found and what is
     expected.
@@ -31,7 +32,8 @@ def load(data: str | Path, dataset: DatasetConfig | None = None) -> Scene:
     chosen = dataset or cast(DatasetConfig, registry.default("dataset", "auto"))
     where = str(Path(data).absolute()) if Path(data).exists() else str(data)
     check_component(chosen)
-    return replace(chosen.build(where).load(), data=where)
+    scene = chosen.build(where).load()
+    return replace(scene, data=scene.data or where)
 
 
 class Methods(Mapping[str, Callable[[], MethodConfig]]):

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, cast
 
 from sculpt_framework import registry
 from sculpt_framework.cli import data_markers, exit_codes
+from sculpt_framework.cli.data_pose import add_pose_command, pose_photographs
 from sculpt_framework.ranges import require
 from sculpt_framework.validation import check_component
 
@@ -37,6 +38,8 @@ def data() -> None:
         _say(write_depth_maps(arguments.folder, arguments.out, arguments.pixels, arguments.downscale))
     elif arguments.command in data_markers.COMMANDS:
         _say(data_markers.run_command(arguments))
+    elif arguments.command == "pose":
+        _say(pose_photographs(arguments))
     else:
         _say(inspect(arguments.folder, arguments.picture, arguments.downscale))
 
@@ -259,6 +262,7 @@ def _parser() -> argparse.ArgumentParser:
     pixels = _stereo_defaults()["pixels"]
     size = f"along the object's longest side, at most (default: {pixels}); never finer than the images"
     depths.add_argument("--pixels", type=int, default=pixels, metavar="N", help=size)
+    add_pose_command(commands)
     data_markers.add_commands(commands)
     for command in (card, masks, depths):
         command.add_argument("--downscale", type=int, metavar="N", help="read images at 1/N of their sides")

@@ -7,7 +7,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -71,6 +71,8 @@ def run(config: MethodConfig, *, resume: Path | None, started: float) -> None:
         config.check_start()
     scene = processes.in_turn(lambda: config.dataset.build(config.data).load())
     if resume is None:
+        # Photographs that were posed have become a scene of their own, which a later process reads.
+        config = replace(config, data=scene.data or config.data)
         saved = config.start(scene)
     observers: list[Observer] = []
 

@@ -114,7 +114,7 @@ def masked(view: View, mask: Mask) -> View:
     return replace(view, alpha=torch.from_numpy(alpha))
 
 
-def cut_along(view: View, rough: Mask, sure: Mask) -> Mask:
+def cut_along(view: View, rough: Mask, sure: Mask) -> Bool[np.ndarray, "h2 w2"]:
     """A mask of some 480 pixels that follows edges and colours near the outline of a ``rough`` one of any size, and
     where that is not ``sure``.
 

@@ -8,6 +8,7 @@ from sculpt_framework.datasets import Dataset
 from sculpt_framework.errors import ConfigError, DataError
 from sculpt_framework.posed_images.folders import contents, scene_folder
 from sculpt_framework.posed_images.options import PhotographsConfig
+from sculpt_framework.posing.source import holds_photographs, is_video
 from sculpt_framework.types import Scene
 
 # Choosing among the plug-ins of its own slot is all this one does, so it names them; by their configs, which are cheap.
@@ -40,6 +41,12 @@ class Layout:
     config: FolderConfig
 
 
+COLMAP = Layout(
+    name="COLMAP",
+    mark="sparse/0/images.bin or .txt",
+    recognises=_has_sparse_model,
+    config=ColmapConfig(),
+)
 LAYOUTS = (
     Layout(
         name="NeRF-Synthetic",
@@ -70,12 +77,7 @@ LAYOUTS = (
         config=NerfstudioConfig(),
     ),
     # Last, as converters leave their COLMAP model beside what they make of it.
-    Layout(
-        name="COLMAP",
-        mark="sparse/0/images.bin or .txt",
-        recognises=_has_sparse_model,
-        config=ColmapConfig(),
-    ),
+    COLMAP,
 )
 
 
@@ -87,11 +89,12 @@ class AutoDataset(Dataset):
                 raise ConfigError("--dataset.downscale is for photographs; give a demo --dataset.resolution instead.")
             for option in _of_photographs(config):
                 raise ConfigError(f"{option} is for photographs; demo scenes have masks of their own.")
-            self.note = None
-            self.chosen = DemoConfig().build(data)
+            self._demo = DemoConfig().build(data)
             return
-        layout = recognise(data)
-        self.note = f"layout: {layout.name} (there is {layout.mark})."
+        self._demo = None
+        self._unposed = _is_unposed(data)
+        layout = COLMAP if self._unposed else recognise(data)
+        self._note = f"layout: {layout.name} (there is {layout.mark})."
         chosen = layout.config if config.downscale is None else replace(layout.config, downscale=config.downscale)
         for option in _of_photographs(config):
             if not isinstance(chosen, PhotographsConfig):
@@ -107,11 +110,20 @@ class AutoDataset(Dataset):
                 keep_support=config.keep_support,
                 box=config.box,
             )
-        self.chosen = chosen.build(data)
+        self._chosen, self._data = chosen, data
 
     def load(self) -> Scene:
-        scene = self.chosen.load()
-        return scene if self.note is None else replace(scene, notes=(self.note, *scene.notes))
+        """Photographs without cameras are posed first, beside the data: ``data`` of the scene says where."""
+        if self._demo is not None:
+            return self._demo.load()
+        if not self._unposed:
+            scene = self._chosen.build(self._data).load()
+            return replace(scene, notes=(self._note, *scene.notes))
+        from sculpt_framework.posing.beside import pose_beside
+
+        folder, note = pose_beside(Path(self._data).expanduser())
+        scene = self._chosen.build(str(folder)).load()
+        return replace(scene, notes=(note, *scene.notes), data=str(folder))
 
 
 def _of_photographs(config: AutoDatasetConfig) -> list[str]:
@@ -125,6 +137,19 @@ def _of_photographs(config: AutoDatasetConfig) -> list[str]:
     return [f"--dataset.{name}" for name, is_given in given.items() if is_given]
 
 
+def _is_unposed(data: str) -> bool:
+    """Whether it is a video, or a folder of photographs that is no scene and holds none. Raises as ``scene_folder``."""
+    if is_video(Path(data).expanduser()):
+        return True
+    folder = scene_folder(data)
+    scenes = [place for place in (folder, *folder.iterdir()) if place.is_dir() and _is_scene(place)]
+    return not scenes and holds_photographs(folder)
+
+
+def _is_scene(folder: Path) -> bool:
+    return any(layout.recognises(folder) for layout in LAYOUTS)
+
+
 def recognise(data: str) -> Layout:
     """The layout of a folder. Raises DataError if there is no such folder or it has no known layout."""
     folder = scene_folder(data)
@@ -132,7 +157,7 @@ def recognise(data: str) -> Layout:
         if layout.recognises(folder):
             return layout
     below = [path for path in folder.iterdir() if path.is_dir()]
-    inside = sorted(path.name for path in below if any(layout.recognises(path) for layout in LAYOUTS))
+    inside = sorted(path.name for path in below if _is_scene(path))
     found = f"scenes inside it ({', '.join(inside[:4])}): give one of them" if inside else contents(folder)
     known = "; ".join(f"{layout.name} ({layout.mark})" for layout in LAYOUTS)
     raise DataError(f"{data}: not a layout that is known; found {found}; layouts: {known}; or demo, demo:NAME.")

@@ -1,0 +1,234 @@
+"""The steps that pycolmap does: features, matches, mapping. Each goes on where an earlier call was stopped."""
+
+import importlib
+import signal
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Int64
+
+from sculpt_framework.errors import ComponentImportError
+from sculpt_framework.posing.options import PosingOptions
+
+if TYPE_CHECKING:
+    import pycolmap
+
+Tell = Callable[[int, int], None]
+"""Told how many of how many are done."""
+
+_PAIRS_AT_ONCE = 50
+_MOST_TRIALS = 2000
+"""Of RANSAC: finds a pair whose matches are right by a third. COLMAP's 10000 mostly go to hopeless ones."""
+_FAINTEST = 0.003
+"""Contrast of a feature."""
+_SMALLEST_MODEL = 3
+_MOST_MODELS = 10
+_LENS = "SIMPLE_RADIAL"
+"""A focal length and one coefficient of distortion: what a ring of views determines."""
+_WORTH_IT = 0.995
+"""The principal point is estimated where that lowers the reprojection error to this share or below."""
+_ENOUGH_VIEWS = 15
+"""Of one lens, before its principal point is estimated."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Matched:
+    """What is known of each photograph before mapping, by its name in the database."""
+
+    features: dict[str, int]
+    partners: dict[str, int]
+    """Photographs it has verified matches with."""
+
+
+def require_pycolmap() -> None:
+    """Raises ComponentImportError, with what to install, where pycolmap is missing."""
+    try:
+        module = importlib.import_module("pycolmap")
+    except ImportError as error:
+        raise ComponentImportError(
+            f"finding the cameras of photographs needs pycolmap ({error}); pip install 'gaussian-sculpting[pose]', or "
+            "give photographs with cameras (docs/data.md)."
+        ) from error
+    module.logging.minloglevel = module.logging.Level.FATAL.value
+    # It prints the stack on SIGTERM, which is no fault here.
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, signal.getsignal(signal.SIGTERM))
+
+
+def extract(
+    database: Path, images: Path, names: Sequence[str], masks: Path | None, options: PosingOptions, tell: Tell
+) -> None:
+    """Features of ``names`` below ``images``; those of one folder share a camera, unless each has its own.
+
+    The mask of ``images/a/b.jpg`` is ``masks/a/b.jpg.png``. Images that have features already are passed over.
+    """
+    import pycolmap
+
+    pycolmap.set_random_seed(options.seed)
+    mode = pycolmap.CameraMode.PER_IMAGE if options.cameras == "per-image" else pycolmap.CameraMode.PER_FOLDER
+    reading = pycolmap.ImageReaderOptions()
+    reading.camera_model = _LENS
+    if masks is not None:
+        reading.mask_path = masks
+    extraction = pycolmap.FeatureExtractionOptions()
+    extraction.max_image_size = options.image_size
+    extraction.num_threads = _threads(options)
+    extraction.sift.max_num_features = options.features
+    # COLMAP's is 0.0067. What is behind and under a dark object has faint texture, and says more than its highlights.
+    extraction.sift.peak_threshold = _FAINTEST
+    pycolmap.Database.open(database).close()
+    # All cameras first: images of one camera that come in several calls would get one camera each call.
+    pycolmap.import_images(database, images, camera_mode=mode, image_names=list(names), options=reading)
+    step = 2 * _threads(options)
+    tell(0, len(names))
+    for start in range(0, len(names), step):
+        batch = list(names[start : start + step])
+        pycolmap.extract_features(
+            database,
+            images,
+            image_names=batch,
+            camera_mode=mode,
+            reader_options=reading,
+            extraction_options=extraction,
+            device=pycolmap.Device.cpu,
+        )
+        tell(min(start + step, len(names)), len(names))
+
+
+def match(database: Path, pairs: Sequence[tuple[str, str]], options: PosingOptions, tell: Tell) -> None:
+    """Match features of pairs of images and verify them; pairs that are done already are passed over."""
+    import pycolmap
+
+    pycolmap.set_random_seed(options.seed)
+    matching = pycolmap.FeatureMatchingOptions()
+    matching.num_threads = _threads(options)
+    # A second search along the epipolar lines of pairs that are verified: on dark bronze twice as many matches.
+    matching.guided_matching = True
+    verification = pycolmap.TwoViewGeometryOptions()
+    verification.ransac.random_seed = options.seed
+    verification.ransac.max_num_trials = _MOST_TRIALS
+    # What stands still while the object turns, and dirt on the lens.
+    verification.filter_stationary_matches = True
+    listed = database.with_name("pairs.txt")
+    pairing = pycolmap.ImportedPairingOptions()
+    pairing.match_list_path = listed
+    tell(0, len(pairs))
+    for start in range(0, len(pairs), _PAIRS_AT_ONCE):
+        batch = pairs[start : start + _PAIRS_AT_ONCE]
+        listed.write_text("".join(f"{first} {second}\n" for first, second in batch), encoding="utf-8")
+        pycolmap.match_image_pairs(database, matching, pairing, verification, device=pycolmap.Device.cpu)
+        tell(min(start + _PAIRS_AT_ONCE, len(pairs)), len(pairs))
+    listed.unlink(missing_ok=True)
+
+
+def matched(database: Path) -> Matched:
+    """What the database holds of each image."""
+    import pycolmap
+
+    opened = pycolmap.Database.open(database)
+    images = {image.image_id: image.name for image in opened.read_all_images()}
+    features = {name: opened.num_keypoints_for_image(number) for number, name in images.items()}
+    pairs, inliers = opened.read_two_view_geometry_num_inliers()
+    opened.close()
+    partners = dict.fromkeys(images.values(), 0)
+    for pair, count in zip(pairs, inliers, strict=True):
+        if count > 0:
+            for number in pycolmap.pair_id_to_image_pair(pair):
+                partners[images[number]] += 1
+    return Matched(features=features, partners=partners)
+
+
+def map_images(
+    database: Path, images: Path, folder: Path, options: PosingOptions, tell: Tell
+) -> "list[pycolmap.Reconstruction]":
+    """Incremental mapping; the models that could not be joined, the one with most images first. None: no model.
+
+    Models of fewer than three images, and those that have no image of their own, are left out.
+    """
+    import pycolmap
+
+    pycolmap.set_random_seed(options.seed)
+    mapping = pycolmap.IncrementalPipelineOptions()
+    mapping.random_seed = mapping.mapper.random_seed = mapping.triangulation.random_seed = options.seed
+    # With more threads the same matches give one of several models, from run to run.
+    mapping.num_threads = mapping.mapper.num_threads = 1
+    mapping.min_model_size = _SMALLEST_MODEL
+    mapping.max_num_models = _MOST_MODELS
+    folder.mkdir(parents=True, exist_ok=True)
+    count = len(matched(database).features)
+    placed = 0
+
+    def place(more: int) -> None:
+        # Models begin anew with images that others have, so the count may go beyond all of them.
+        nonlocal placed
+        placed = min(placed + more, count)
+        tell(placed, count)
+
+    tell(0, count)
+    models = pycolmap.incremental_mapping(
+        database,
+        images,
+        folder,
+        mapping,
+        initial_image_pair_callback=lambda: place(2),
+        next_image_callback=lambda: place(1),
+    )
+    # Equal sizes: the one that was found first.
+    in_order = [models[number] for number in sorted(models, key=lambda n: (-models[n].num_reg_images(), n))]
+    seen: set[str] = set()
+    pieces = []
+    for model in in_order:
+        own = world_to_cameras(model).keys() - seen
+        if own and model.num_reg_images() >= _SMALLEST_MODEL:
+            pieces.append(model)
+            seen |= own
+    return pieces
+
+
+def refined(model: "pycolmap.Reconstruction") -> "pycolmap.Reconstruction":
+    """The model, with the lenses' principal points estimated where that fits the features notably better."""
+    import pycolmap
+
+    views = list(model.images.values())
+    if len(views) < _ENOUGH_VIEWS * len(model.cameras):
+        return model
+    moved = pycolmap.Reconstruction(model)
+    adjustment = pycolmap.BundleAdjustmentOptions()
+    adjustment.refine_principal_point = True
+    adjustment.print_summary = False
+    adjustment.ceres.solver_options.num_threads = 1
+    chosen = pycolmap.BundleAdjustmentConfig()
+    for image in moved.reg_image_ids():
+        chosen.add_image(image)
+    chosen.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
+    pycolmap.create_default_bundle_adjuster(adjustment, chosen, moved).solve()
+    moved.update_point_3d_errors()
+    better = moved.compute_mean_reprojection_error() <= _WORTH_IT * model.compute_mean_reprojection_error()
+    return moved if better else model
+
+
+def world_to_cameras(model: "pycolmap.Reconstruction") -> dict[str, np.ndarray]:
+    """4x4 matrices of the images that have a pose, OpenCV axes, by name."""
+    out = {}
+    for image in model.images.values():
+        if image.has_pose:
+            out[image.name] = np.eye(4)
+            out[image.name][:3] = image.cam_from_world().matrix()
+    return out
+
+
+def tracked(model: "pycolmap.Reconstruction") -> Int64[np.ndarray, " n"]:
+    """Numbers of the points that three images or more show."""
+    return np.array([number for number, point in model.points3D.items() if point.track.length() >= 3], np.int64)
+
+
+def _threads(options: PosingOptions) -> int:
+    if options.threads is not None:
+        return options.threads
+    import torch
+
+    return torch.get_num_threads()

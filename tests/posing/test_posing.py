@@ -1,0 +1,188 @@
+"""Whole posings of small photographs, by pycolmap."""
+
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from measure_poses import pose_errors, read_poses
+from textured_box import photographs, save
+
+import sculpt_framework
+from sculpt_framework.cli.data import data
+from sculpt_framework.cli.exit_codes import run
+from sculpt_framework.errors import DataError
+from sculpt_framework.posing.announcer import Announcer
+from sculpt_framework.posing.options import PosingOptions
+from sculpt_framework.posing.outcome import read_outcome
+from sculpt_framework.posing.pose import pose
+from sculpt_plugins.datasets.auto.config import AutoDatasetConfig
+
+pytest.importorskip("pycolmap")
+ANGLES = tuple(range(0, 80, 10))
+
+
+class Noted(Announcer):
+    def __init__(self) -> None:
+        self.steps: dict[str, int] = {}
+
+    def step(self, name: str, done: int, total: int) -> None:
+        self.steps[name] = total
+
+    def say(self, line: str) -> None:
+        pass
+
+
+@pytest.fixture(scope="module")
+def taken(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Eight photographs; read-only for tests."""
+    folder = tmp_path_factory.mktemp("posing") / "photographs"
+    save(photographs(ANGLES), folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def posed(taken: Path) -> Path:
+    scene = taken.with_name("scene")
+    pose(taken, scene, PosingOptions(threads=2), Noted())
+    return scene
+
+
+def _known() -> dict[str, np.ndarray]:
+    return {f"view {index:02}": shot.world_to_camera for index, shot in enumerate(photographs(ANGLES))}
+
+
+def test_the_cameras_are_found(posed: Path):
+    outcome = read_outcome(posed)
+    assert (outcome.registered, outcome.photographs) == (8, 8)
+    assert outcome.left_out == {}
+    errors = pose_errors(_known(), read_poses(str(posed)))
+    # Eight small photographs from a quarter of a ring.
+    assert np.median(errors.degrees) < 1
+    assert np.median(errors.shares) < 0.01
+
+
+def test_z_is_up_and_the_cameras_look_at_the_origin(posed: Path):
+    found = np.array(list(read_poses(str(posed)).values()))
+    places = -np.einsum("nji,nj->ni", found[:, :3, :3], found[:, :3, 3])
+    far = np.linalg.norm(places, axis=1).mean()
+    assert places[:, 2] == pytest.approx(np.full(len(places), places[:, 2].mean()), abs=0.02 * far)
+    assert places[:, 2].mean() > 0.3 * far
+    assert cv2.imread(str(posed / "posing.png")) is not None
+
+
+def test_a_posing_that_is_done_is_not_done_again(taken: Path, posed: Path):
+    noted = Noted()
+    again = pose(taken, posed, PosingOptions(threads=1), noted)
+    assert again == read_outcome(posed)
+    assert noted.steps == {}
+
+
+def test_the_same_seed_gives_the_same_cameras_with_any_threads(taken: Path, posed: Path, tmp_path: Path):
+    pose(taken, tmp_path / "again", PosingOptions(threads=1), Noted())
+    first, second = read_poses(str(posed)), read_poses(str(tmp_path / "again"))
+    for name, matrix in first.items():
+        assert second[name] == pytest.approx(matrix, abs=1e-9)
+
+
+def test_photographs_without_texture_are_refused_with_what_would_help(tmp_path: Path):
+    (tmp_path / "in").mkdir()
+    for index in range(4):
+        cv2.imwrite(str(tmp_path / "in" / f"{index}.png"), np.full((120, 160, 3), 128, np.uint8))
+    with pytest.raises(DataError, match=r"no cameras were found: 0 features .* What helps: sharper photographs"):
+        pose(tmp_path / "in", tmp_path / "out", PosingOptions(threads=2), Noted())
+    assert not (tmp_path / "out" / "sparse").exists()
+
+
+@pytest.mark.slow
+def test_a_photograph_of_something_else_is_left_out(taken: Path, tmp_path: Path):
+    shots = photographs(ANGLES)
+    save(shots, tmp_path / "in")
+    noise = np.random.default_rng(0).integers(0, 255, (60, 80, 3), dtype=np.uint8)
+    cv2.imwrite(str(tmp_path / "in" / "wall.jpg"), cv2.resize(noise, (320, 240), interpolation=cv2.INTER_CUBIC))
+    outcome = pose(tmp_path / "in", tmp_path / "out", PosingOptions(threads=2), Noted())
+    assert outcome.registered == 8
+    assert outcome.left_out == {"wall.jpg": "no matches with any other"}
+
+
+@pytest.mark.slow
+def test_masks_keep_features_inside_and_go_with_the_scene(tmp_path: Path):
+    shots = photographs(ANGLES)
+    names = save(shots, tmp_path / "in" / "images")
+    half = np.zeros((240, 320), np.uint8)
+    half[:, :200] = 255
+    (tmp_path / "in" / "masks").mkdir()
+    for name in names:
+        cv2.imwrite(str(tmp_path / "in" / "masks" / f"{Path(name).stem}.png"), half)
+    pose(tmp_path / "in", tmp_path / "out", PosingOptions(threads=2), Noted())
+    import pycolmap
+
+    model = pycolmap.Reconstruction(tmp_path / "out" / "sparse" / "0")
+    columns = [feature.xy[0] for image in model.images.values() for feature in image.points2D]
+    assert max(columns) < 202
+    scene = sculpt_framework.load(tmp_path / "out")
+    assert all(view.alpha is not None for view in scene.train)
+
+
+@pytest.mark.slow
+def test_a_posing_that_was_killed_is_gone_on_with(taken: Path, posed: Path, tmp_path: Path):
+    words = ["pose", str(taken), "--out", str(tmp_path / "out"), "--threads", "1"]
+    process = subprocess.Popen([sys.executable, "-m", "sculpt_framework.cli.data", *words], stderr=subprocess.PIPE)
+    database = tmp_path / "out" / ".posing" / "database.db"
+    until = time.monotonic() + 60
+    while not database.exists() and time.monotonic() < until:
+        time.sleep(0.02)
+    time.sleep(0.3)
+    process.send_signal(signal.SIGKILL)
+    process.communicate()
+    assert not (tmp_path / "out" / "sparse").exists()
+    outcome = pose(taken, tmp_path / "out", PosingOptions(threads=1), Noted())
+    assert outcome.registered == 8
+    errors = pose_errors(_known(), read_poses(str(tmp_path / "out")))
+    assert np.median(errors.degrees) < 1
+
+
+@pytest.fixture
+def two_threads() -> Iterator[None]:
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("two_threads")
+def test_photographs_given_as_data_are_posed_beside_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    save(photographs(ANGLES), tmp_path / "mug")
+    cameras_only = AutoDatasetConfig(masks="none")
+    scene = sculpt_framework.load(tmp_path / "mug", cameras_only)
+    assert len(scene.train) == 8
+    assert scene.data == str(tmp_path / "mug-posed")
+    assert "has no cameras: they are looked for now" in capsys.readouterr().err
+    assert any("cameras of 8 of 8 photographs" in note for note in scene.notes)
+    assert sculpt_framework.load(tmp_path / "mug", cameras_only).data == scene.data
+    assert "looked for" not in capsys.readouterr().err
+    assert sculpt_framework.load(tmp_path / "mug-posed", cameras_only).data == str(tmp_path / "mug-posed")
+
+
+@pytest.mark.slow
+def test_a_video_is_posed_by_the_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    video = cv2.VideoWriter(str(tmp_path / "walk.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 30, (320, 240))
+    for index, shot in enumerate(photographs(np.arange(0, 72, 2).tolist())):
+        video.write(shot.image if index % 3 == 1 else cv2.blur(shot.image, (7, 7)))
+    video.release()
+    words = ["pose", str(tmp_path / "walk.avi"), "--out", str(tmp_path / "out"), "--frames", "9", "--threads", "2"]
+    monkeypatch.setattr(sys, "argv", ["sculpt-data", *words])
+    run(data)
+    said = capsys.readouterr().out
+    assert "posed      9 of 9 photographs" in said
+    frames = sorted(path.stem for path in (tmp_path / "out" / "images").iterdir())
+    assert all(int(stem.removeprefix("frame_")) % 3 == 1 for stem in frames)

@@ -23,8 +23,6 @@ Tell = Callable[[int, int], None]
 _PAIRS_AT_ONCE = 50
 _MOST_TRIALS = 2000
 """Of RANSAC: finds a pair whose matches are right by a third. COLMAP's 10000 mostly go to hopeless ones."""
-_FAINTEST = 0.003
-"""Contrast of a feature."""
 _SMALLEST_MODEL = 3
 _MOST_MODELS = 10
 _LENS = "SIMPLE_RADIAL"
@@ -78,8 +76,8 @@ def extract(
     extraction.max_image_size = options.image_size
     extraction.num_threads = _threads(options)
     extraction.sift.max_num_features = options.features
-    # COLMAP's is 0.0067. What is behind and under a dark object has faint texture, and says more than its highlights.
-    extraction.sift.peak_threshold = _FAINTEST
+    # Nearly twice the matches between views of dark bronze 16 degrees apart, for thrice the seconds of this step.
+    extraction.sift.domain_size_pooling = True
     pycolmap.Database.open(database).close()
     # All cameras first: images of one camera that come in several calls would get one camera each call.
     pycolmap.import_images(database, images, camera_mode=mode, image_names=list(names), options=reading)

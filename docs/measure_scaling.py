@@ -127,8 +127,8 @@ def measure(request: argparse.Namespace, extra: list[str]) -> None:
 
     from sculpt_framework.command_line.request import parse
     from sculpt_framework.device import pick_device
-    from sculpt_framework.engine.parallel import gather
     from sculpt_framework.engine.session import Session
+    from sculpt_framework.parallel.processes import gather
     from sculpt_framework.sculpting.config import of_sculpting
 
     config = of_sculpting(parse([request.method, "--data", request.data, *extra]))

@@ -92,3 +92,8 @@ def _lines(path: Path) -> list[str]:
         return path.read_text(encoding="ascii", errors="replace").splitlines()
     except OSError:
         return []
+
+
+def peak_megabytes() -> float:
+    """Peak resident memory of this process, MiB."""
+    return peak_bytes() / 2**20

@@ -23,11 +23,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sculpt_framework.commands import Command
-from sculpt_framework.engine.parallel import Processes
 from sculpt_framework.errors import ConfigError
 from sculpt_framework.evaluation.mesh import Mesh
 from sculpt_framework.events import EventName
 from sculpt_framework.export.drawn_mesh import GREY, draw_mesh_in_colors
+from sculpt_framework.parallel.processes import Processes
 from sculpt_framework.snapshot import Snapshot
 from sculpt_framework.types import Camera, Rendering, View
 

@@ -9,7 +9,7 @@ from sculpt_framework.device import pick_device
 from sculpt_framework.engine.inputs import input_digests
 from sculpt_framework.engine.milestones import Milestones
 from sculpt_framework.evaluation.certificate import certify
-from sculpt_framework.memory import peak_bytes
+from sculpt_framework.memory import peak_megabytes
 from sculpt_framework.reconstructor import Reconstructor, StepReport
 from sculpt_framework.types import Scene
 
@@ -51,7 +51,7 @@ def step_taken(report: StepReport, *, progress: float, psnr: float | None, eta_s
         "faces": report.faces,
         **report.facts,
         "psnr": psnr,
-        "rss_mb": resident_megabytes(),
+        "rss_mb": peak_megabytes(),
         "eta_s": eta_seconds,
     }
 
@@ -66,8 +66,3 @@ def run_ended(method: Reconstructor, milestones: Milestones, status: str, failur
         "certificate": asdict(certify(mesh.vertices, mesh.faces, self_intersections=True)),
         "milestones": milestones.shares(),
     }
-
-
-def resident_megabytes() -> float:
-    """Peak resident memory of this process."""
-    return peak_bytes() / 2**20

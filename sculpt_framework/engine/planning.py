@@ -1,7 +1,7 @@
 """The scene's plan, made once for all processes of a run."""
 
 from sculpt_framework.config import MethodConfig
-from sculpt_framework.engine.parallel import Processes
+from sculpt_framework.parallel.processes import Processes
 from sculpt_framework.plan.decision import ScenePlan
 from sculpt_framework.serialization import config_from_json, config_to_json
 from sculpt_framework.types import Scene

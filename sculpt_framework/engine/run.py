@@ -19,15 +19,14 @@ from sculpt_framework.commands import Recorded, read_recorded
 from sculpt_framework.config import MethodConfig
 from sculpt_framework.device import pick_device
 from sculpt_framework.engine.checkpoint import read_checkpoint, write_checkpoint
-from sculpt_framework.engine.measuring import image_measures
 from sculpt_framework.engine.output import prepare_output
-from sculpt_framework.engine.parallel import gather, shared_commands
 from sculpt_framework.engine.progress import Progress
 from sculpt_framework.engine.saving import CONFIG_NAME, MESH_NAME, save_result
 from sculpt_framework.engine.session import Session
 from sculpt_framework.engine.steering import Steering
-from sculpt_framework.engine.view_pictures import RESULT, image_picture, view_pictures
 from sculpt_framework.errors import CheckpointError, SculptError, TrainingFailed
+from sculpt_framework.evaluation.album import RESULT, image_picture, view_pictures
+from sculpt_framework.evaluation.evaluator import image_measures
 from sculpt_framework.evaluation.mesh import load_mesh
 from sculpt_framework.evaluation.pictures import Picture
 from sculpt_framework.evaluation.report import write_report
@@ -35,6 +34,7 @@ from sculpt_framework.events import Event
 from sculpt_framework.export.atomic import cannot_write, remove_partial_files, write_atomically
 from sculpt_framework.frame import WorldFrame, frame_of, write_frame
 from sculpt_framework.observers import Observer, SteeringObserver
+from sculpt_framework.parallel.processes import gather, shared_commands
 from sculpt_framework.plan.decision import write_plan
 from sculpt_framework.serialization import config_from_json, config_to_json
 from sculpt_framework.types import Camera, Rendering, Scene

@@ -15,23 +15,23 @@ from sculpt_framework.cpu_kernels import CompileSeconds
 from sculpt_framework.engine import announcements
 from sculpt_framework.engine.clock import TrainingClock
 from sculpt_framework.engine.known_good import KnownGood
-from sculpt_framework.engine.measuring import Evaluator
 from sculpt_framework.engine.milestones import Milestones
 from sculpt_framework.engine.output import prepare_output
-from sculpt_framework.engine.parallel import Alone, Processes, ProcessLost
 from sculpt_framework.engine.planning import planned
 from sculpt_framework.engine.progress import Progress, Report, Saved, split_best, with_best
 from sculpt_framework.engine.saving import CONFIG_NAME, save_result
 from sculpt_framework.engine.schedule import Pace, Schedule
-from sculpt_framework.engine.view_pictures import Album
 from sculpt_framework.engine.views import split_views, without_views
 from sculpt_framework.errors import CheckpointError, TrainingFailed
+from sculpt_framework.evaluation.album import Album
+from sculpt_framework.evaluation.evaluator import Evaluator
 from sculpt_framework.evaluation.mesh import Mesh
 from sculpt_framework.evaluation.painted import PaintedMesh
 from sculpt_framework.evaluation.pictures import Picture
 from sculpt_framework.events import Event, EventName
 from sculpt_framework.export.atomic import write_atomically
 from sculpt_framework.geometry.signed_distance import EmptySurfaceError
+from sculpt_framework.parallel.processes import Alone, Processes, ProcessLost
 from sculpt_framework.reconstructor import Host, Moment, Reconstructor, StepReport
 from sculpt_framework.serialization import config_to_json
 from sculpt_framework.stop_rule import StopRule

@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 import torch
 
 from sculpt_framework.device import pick_device
-from sculpt_framework.engine.parallel import Processes
 from sculpt_framework.errors import ConfigError
 from sculpt_framework.extractors import Extractor, RefiningExtractor
 from sculpt_framework.geometry.band import cells_at_level, coarsened, discover
 from sculpt_framework.geometry.grid import Grid, grid_over_box
 from sculpt_framework.geometry.octree_policy import LevelMap, RefineBox, level_map, wanted_levels
 from sculpt_framework.losses import GeometryLoss, ImageLoss, TrainingImage, ViewsLoss
+from sculpt_framework.parallel.processes import Processes
 from sculpt_framework.rasterizers import Rasterizer
 from sculpt_framework.registry import name_of
 from sculpt_framework.sculpting.boxes import object_box

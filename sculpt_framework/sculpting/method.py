@@ -12,12 +12,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sculpt_framework.commands import Command
-from sculpt_framework.engine.parallel import Alone
 from sculpt_framework.evaluation.mesh import Mesh
 from sculpt_framework.export.gaussian_files import write_gaussians_ply
 from sculpt_framework.extractors import Extractor
 from sculpt_framework.geometry.signed_distance import EmptySurfaceError, SdfFunction
 from sculpt_framework.losses import TrainingImage
+from sculpt_framework.parallel.processes import Alone
 from sculpt_framework.reconstructor import Host, Moment, Reconstructor, StepReport
 from sculpt_framework.sculpting import assembly, memory_check
 from sculpt_framework.sculpting.config import SculptingConfig, StageConfig

@@ -18,10 +18,10 @@ from torch import Tensor
 from sculpt_framework.adam import Adam
 from sculpt_framework.binders import Binding
 from sculpt_framework.constraints import Constraint
-from sculpt_framework.engine.parallel import Alone, Processes
 from sculpt_framework.extractors import Extraction, Extractor
 from sculpt_framework.fields import Field
 from sculpt_framework.losses import GeometryLoss, ImageLoss, Term, TrainingImage, ViewsLoss
+from sculpt_framework.parallel.processes import Alone, Processes
 from sculpt_framework.rasterizers import Rasterizer
 from sculpt_framework.sculpting.boxes import FrozenField, frozen_rows, signed_distance, untaught
 from sculpt_framework.sculpting.config import StageConfig, TrainerConfig

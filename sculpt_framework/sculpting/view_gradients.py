@@ -8,8 +8,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sculpt_framework.engine.parallel import Processes
 from sculpt_framework.losses import ImageLoss, TrainingImage
+from sculpt_framework.parallel.processes import Processes
 from sculpt_framework.rasterizers import Rasterizer
 from sculpt_framework.sculpting.config import TrainerConfig
 from sculpt_framework.sculpting.gaussian_scene import as_leaves, tensor_pairs

@@ -22,7 +22,6 @@ from sculpt_framework.cli.data import write_masks
 from sculpt_framework.config import MethodConfig
 from sculpt_framework.engine import steering as steering_module
 from sculpt_framework.engine.checkpoint import read_checkpoint, write_checkpoint
-from sculpt_framework.engine.measuring import Evaluator
 from sculpt_framework.engine.milestones import Milestones
 from sculpt_framework.engine.progress import Progress
 from sculpt_framework.engine.run import load_finished, run, run_status
@@ -31,6 +30,7 @@ from sculpt_framework.engine.steering import Steering
 from sculpt_framework.errors import CheckpointError, OutputError, TrainingFailed
 from sculpt_framework.evaluation.certificate import certify
 from sculpt_framework.evaluation.curve import read_curve
+from sculpt_framework.evaluation.evaluator import Evaluator
 from sculpt_framework.evaluation.mesh import load_mesh
 from sculpt_framework.events import Event
 from sculpt_framework.export import atomic

@@ -18,8 +18,8 @@ from sculpt_framework.engine.clock import TrainingClock
 from sculpt_framework.engine.inputs import file_digest, input_digests
 from sculpt_framework.engine.run import run
 from sculpt_framework.engine.session import Session
-from sculpt_framework.engine.view_pictures import ERROR_LIMIT, view_pictures
 from sculpt_framework.errors import DataError
+from sculpt_framework.evaluation.album import ERROR_LIMIT, view_pictures
 from sculpt_framework.evaluation.curve import read_curve
 from sculpt_framework.evaluation.geometry import MeasuredMesh
 from sculpt_framework.evaluation.mesh import Mesh, load_mesh

@@ -17,10 +17,10 @@ import torch
 from ranks import config_of
 from small_runs import small_config
 
-from sculpt_framework.engine.parallel import Alone, gather, shared_commands
 from sculpt_framework.engine.run import run
 from sculpt_framework.errors import ConfigError, DeviceError
 from sculpt_framework.evaluation.mesh import Mesh, load_mesh
+from sculpt_framework.parallel.processes import Alone, gather, shared_commands
 from sculpt_framework.serialization import read_config
 
 HERE = Path(__file__).parent
@@ -142,7 +142,7 @@ def test_commands_of_the_first_reach_all(monkeypatch: pytest.MonkeyPatch):
 
 def test_one_process_pays_nothing(bare_scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Nothing of torch.distributed is called, and what would call it is not imported."""
-    monkeypatch.setitem(sys.modules, "sculpt_framework.engine.parallel_ranks", None)
+    monkeypatch.setitem(sys.modules, "sculpt_framework.parallel.ranks", None)
     called: list[str] = []
     for name in ("init_process_group", "all_reduce", "broadcast", "barrier", "all_gather", "TCPStore"):
         monkeypatch.setattr(torch.distributed, name, lambda *words, name=name, **more: called.append(name))

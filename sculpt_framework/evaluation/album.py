@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from jaxtyping import Float32
 
-from sculpt_framework.engine.measuring import on_white
+from sculpt_framework.evaluation.evaluator import on_white
 from sculpt_framework.evaluation.geometry import MeasuredMesh
 from sculpt_framework.evaluation.mesh import Mesh
 from sculpt_framework.evaluation.pictures import (

@@ -125,7 +125,7 @@ def gather(environment: Mapping[str, str], device: torch.device) -> Processes:
     """
     if int(environment.get("WORLD_SIZE") or 1) < 2:
         return Alone()
-    from sculpt_framework.engine.parallel_ranks import Ranks
+    from sculpt_framework.parallel.ranks import Ranks
 
     return Ranks(environment, device)
 

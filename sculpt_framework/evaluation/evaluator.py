@@ -11,12 +11,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sculpt_framework.config import MethodConfig
-from sculpt_framework.engine.announcements import resident_megabytes
 from sculpt_framework.evaluation.consistency import CURVE_PAIRS, CURVE_PIXELS, PosedImages
 from sculpt_framework.evaluation.geometry import MeasuredMesh
 from sculpt_framework.evaluation.images import fitted_psnr, mask_iou, psnr, ssim
 from sculpt_framework.evaluation.mesh import Mesh, load_mesh
 from sculpt_framework.evaluation.mesh_report import mesh_measures, result_measures
+from sculpt_framework.memory import peak_megabytes
 from sculpt_framework.reconstructor import Reconstructor
 from sculpt_framework.types import Camera, Rendering, Scene, View
 
@@ -56,7 +56,7 @@ class Evaluator:
             return None
         mesh, sizes = made
         blank = dict.fromkeys(("psnr", "psnr_fitted", "ssim", "iou"))
-        row = {**_NO_SIZES, **sizes, "rss_mb": resident_megabytes(), **blank}
+        row = {**_NO_SIZES, **sizes, "rss_mb": peak_megabytes(), **blank}
         return row | mesh_measures(mesh, self.reference, _CURVE_SAMPLES)
 
     def measure_result(self, method: Reconstructor) -> dict[str, Any]:
@@ -85,7 +85,7 @@ class Evaluator:
         return self._scene.box.center.double().cpu().numpy()
 
     def _common(self, method: Reconstructor) -> dict[str, Any]:
-        sizes = {**_NO_SIZES, **method.sizes(), "rss_mb": resident_megabytes()}
+        sizes = {**_NO_SIZES, **method.sizes(), "rss_mb": peak_megabytes()}
         return sizes | image_measures(method.render, self.views)
 
 

@@ -18,9 +18,9 @@ from torch import Tensor
 from torch.distributed.distributed_c10d import PrefixStore, Store
 
 from sculpt_framework.child_processes import die_with_parent
-from sculpt_framework.engine.parallel import Processes, ProcessLost, Value
 from sculpt_framework.errors import ConfigError, DeviceError
 from sculpt_framework.geometry.signed_distance import EmptySurfaceError
+from sculpt_framework.parallel.processes import Processes, ProcessLost, Value
 
 _VARIABLES = ("RANK", "WORLD_SIZE", "LOCAL_RANK", "LOCAL_WORLD_SIZE", "MASTER_ADDR", "MASTER_PORT")
 _PATIENCE = timedelta(minutes=10)

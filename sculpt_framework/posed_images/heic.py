@@ -10,6 +10,7 @@ from sculpt_framework.errors import DataError
 _HEIC = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"hevm", b"hevs")
 _EITHER = (b"mif1", b"msf1")
 """Brands of the container, whatever codec is in it."""
+_QUALITY = 95
 
 
 def is_heic(data: bytes) -> bool:
@@ -43,6 +44,16 @@ def read_heic(data: bytes, path: Path) -> tuple[np.ndarray | None, tuple[int, in
     if pixels.ndim == 3:
         pixels = pixels[..., [2, 1, 0, 3][: pixels.shape[2]]]
     return np.ascontiguousarray(pixels), (pixels.shape[1], pixels.shape[0])
+
+
+def heic_to_jpeg(path: Path, target: Path) -> None:
+    """Write the image as a JPEG, upright, with its EXIF. Raises DataError where it cannot be read."""
+    reader = _reader(path)
+    try:
+        image = reader.open_heif(path).to_pillow()
+    except (OSError, ValueError, EOFError, RuntimeError) as error:
+        raise DataError(f"{path}: cannot be read as HEIC ({error}); remove it, or convert it again.") from error
+    image.convert("RGB").save(target, "JPEG", quality=_QUALITY, subsampling=0, exif=image.info.get("exif") or b"")
 
 
 def _reader(path: Path) -> ModuleType:

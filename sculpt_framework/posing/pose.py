@@ -14,6 +14,7 @@ import numpy as np
 
 from sculpt_framework.errors import DataError, OutputError
 from sculpt_framework.export.atomic import cannot_write, write_atomically
+from sculpt_framework.posed_images.heic import heic_to_jpeg
 from sculpt_framework.posed_images.masks import read_mask
 from sculpt_framework.posing import colmap
 from sculpt_framework.posing.announcer import Announcer
@@ -22,7 +23,7 @@ from sculpt_framework.posing.options import PosingOptions
 from sculpt_framework.posing.outcome import NAME, Outcome, nothing_placed, read_outcome, reasons
 from sculpt_framework.posing.pairs import choose_pairs
 from sculpt_framework.posing.picture import draw_posing
-from sculpt_framework.posing.source import FEWEST, Photographs, find_photographs, fingerprint, is_video
+from sculpt_framework.posing.source import FEWEST, HEIC, Photographs, find_photographs, fingerprint, is_video
 from sculpt_framework.posing.upright import upright_frame
 from sculpt_framework.posing.video import choose_frames, look_through, write_frames
 from sculpt_framework.threads import in_threads
@@ -196,14 +197,22 @@ def _frames(at_work: _Posing) -> Photographs:
 
 
 def _placed(found: Photographs, scene: Path) -> Photographs:
-    """The photographs and their masks inside the scene, where they are not there already."""
-    if found.root.resolve() == (scene / "images").resolve():
+    """The photographs and their masks inside the scene, where they are not there already; HEIC as JPEG."""
+    heic = [name for name in found.names if Path(name).suffix.lower() in HEIC]
+    if not heic and found.root.resolve() == (scene / "images").resolve():
         return found
-    masks: list[Path | None] = []
+    names, masks = [], list[Path | None]()
     for name, mask in zip(found.names, found.masks, strict=True):
-        _place(found.root / name, scene / "images" / name)
-        masks.append(None if mask is None else _place(mask, scene / "masks" / f"{name}{mask.suffix}"))
-    return Photographs(root=scene / "images", names=found.names, masks=tuple(masks), notes=found.notes)
+        names.append(f"{name}.jpg" if name in heic else name)
+        target = scene / "images" / names[-1]
+        if name not in heic:
+            _place(found.root / name, target)
+        elif not target.exists():
+            target.parent.mkdir(parents=True, exist_ok=True)
+            _write_whole(target, lambda path, name=name: heic_to_jpeg(found.root / name, path))
+        masks.append(None if mask is None else _place(mask, scene / "masks" / f"{names[-1]}{mask.suffix}"))
+    notes = (*found.notes, f"{len(heic)} HEIC photographs are written as JPEG.") if heic else found.notes
+    return Photographs(root=scene / "images", names=tuple(names), masks=tuple(masks), notes=notes)
 
 
 def _place(source: Path, target: Path) -> Path:
@@ -214,10 +223,14 @@ def _place(source: Path, target: Path) -> Path:
     try:
         os.link(source.resolve(), target)
     except OSError:
-        aside = target.with_name(f".{target.name}.{os.getpid()}.partial")
-        shutil.copy2(source, aside)
-        os.replace(aside, target)
+        _write_whole(target, lambda path: shutil.copy2(source, path))
     return target
+
+
+def _write_whole(target: Path, write: Callable[[Path], object]) -> None:
+    aside = target.with_name(f".{target.name}.{os.getpid()}.partial")
+    write(aside)
+    os.replace(aside, target)
 
 
 def _write_masks(photographs: Photographs, lenses: Sorted, folder: Path) -> Path | None:

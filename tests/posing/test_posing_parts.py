@@ -90,7 +90,7 @@ def test_masks_inside_the_folder_are_no_photographs(tmp_path: Path):
     [
         ((), "no photographs; expected .jpg"),
         (("1.jpg", "2.jpg"), "2 photographs; expected 3 or more"),
-        (("1.jpg", "2.HEIC", "3.heic"), "1 photographs that can be read, and 2 .heic, which cannot; convert"),
+        (("1.jpg", "2.NEF", "3.nef"), "1 photographs that can be read, and 2 .nef, which cannot; convert"),
     ],
 )
 def test_too_few_photographs_are_refused(tmp_path: Path, names: tuple[str, ...], message: str):
@@ -99,6 +99,24 @@ def test_too_few_photographs_are_refused(tmp_path: Path, names: tuple[str, ...],
     with pytest.raises(DataError, match=message):
         pose(tmp_path, tmp_path / "out", PosingOptions(), Silent())
     assert not (tmp_path / "out").exists()
+
+
+def test_heic_photographs_become_jpegs_of_the_scene(tmp_path: Path):
+    heif = pytest.importorskip("pillow_heif")
+    exif = Image.Exif()
+    exif.get_ifd(0x8769)[0x920A] = 4.2
+    for number in range(3):
+        picture = Image.new("RGB", (64, 48), (90, 40 * number, 30))
+        heif.from_pillow(picture).save(tmp_path / f"{number}.HEIC", exif=exif.tobytes())
+    # Plain pictures have nothing to be placed by.
+    with pytest.raises(DataError):
+        pose(tmp_path, tmp_path / "out", PosingOptions(), Silent())
+    made = sorted((tmp_path / "out" / "images").iterdir())
+    assert [path.name for path in made] == ["0.HEIC.jpg", "1.HEIC.jpg", "2.HEIC.jpg"]
+    with Image.open(made[1]) as image:
+        assert image.size == (64, 48)
+        assert np.abs(np.asarray(image).mean(axis=(0, 1)) - (90, 40, 30)).max() < 4
+        assert float(image.getexif().get_ifd(0x8769)[0x920A]) == pytest.approx(4.2)
 
 
 def test_files_that_are_no_photographs_are_named(tmp_path: Path):

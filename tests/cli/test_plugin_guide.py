@@ -39,7 +39,7 @@ def sculpt_train(words: str, path: Path, folder: Path) -> subprocess.CompletedPr
     script = "from sculpt_framework.cli.train import main; main()"
     # What is on the path already stays: it says which checkout is tested.
     paths = os.pathsep.join([str(path), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep)
-    changes = {"PYTHONPATH": paths, "COLUMNS": "100", "NO_COLOR": "1", "XDG_CACHE_HOME": str(folder / "cache")}
+    changes = {"PYTHONPATH": paths, "COLUMNS": "100", "NO_COLOR": "1"}
     command = [sys.executable, "-c", script, *words.split()]
     return subprocess.run(
         command, capture_output=True, text=True, timeout=300, check=False, env=os.environ | changes, cwd=folder

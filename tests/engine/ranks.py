@@ -27,9 +27,9 @@ from small_runs import ONE_STAGE, small_config
 
 from sculpt_framework.cli import exit_codes
 from sculpt_framework.config import MethodConfig
-from sculpt_framework.engine import parallel_ranks  # noqa: F401 (here, so that no job has to)
 from sculpt_framework.engine.run import run
 from sculpt_framework.engine.session import Session
+from sculpt_framework.parallel import ranks  # noqa: F401 (here, so that no job has to)
 from sculpt_framework.serialization import read_config
 from sculpt_plugins.datasets.blender.config import BlenderConfig
 from sculpt_plugins.observers.recorder.config import RecorderConfig

@@ -91,7 +91,7 @@ def test_measuring_saving_and_watching_leave_training_as_it_is(
     plain = train(config, scene).result
     due = Milestones.due
     monkeypatch.setattr(Milestones, "due", lambda self, *where: due(self, *where) or "time")
-    hasty = replace(config, checkpoint_seconds=0.0)
+    hasty = replace(config, checkpoint_seconds=1e-9)
     events: list[Event] = []
     session = Session(scene, hasty, emit=events.append, save_state=lambda *state: None)
     monkeypatch.setattr(steering_module, "_SNAPSHOT_SHARE", 1e9)

@@ -71,15 +71,15 @@ def test_training_seconds_leave_out_pauses_and_idle_time(monkeypatch: pytest.Mon
 
 def test_time_spent_measuring_is_not_training(scene: Scene, monkeypatch: pytest.MonkeyPatch):
     """Measuring is made slow; training seconds do not notice, wall seconds do."""
-    from sculpt_framework.engine import measuring
+    from sculpt_framework.evaluation import evaluator
 
-    original = measuring.image_measures
+    original = evaluator.image_measures
 
     def slow(*arguments: Any) -> Mapping[str, Any]:
         time.sleep(0.25)
         return original(*arguments)
 
-    monkeypatch.setattr(measuring, "image_measures", slow)
+    monkeypatch.setattr(evaluator, "image_measures", slow)
     events = train(small_config(steps=2), scene).of("evaluation")
     assert len(events) >= 3
     trained, passed = (events[-1].t_train - events[0].t_train), (events[-1].t_wall - events[0].t_wall)

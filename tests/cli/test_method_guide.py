@@ -104,6 +104,18 @@ def test_a_batch_of_it(installed: Path, scenes: Path, tmp_path: Path):
 
 
 @pytest.mark.slow
+def test_two_processes_run_it_as_one_does(installed: Path, scenes: Path, tmp_path: Path):
+    """What a method does not share out each process does; one of them measures and writes."""
+    common = ["ball", "--data", str(scenes / "one"), "--steps", "6", "--output"]
+    sculpt(installed, "train", *common, str(tmp_path / "alone"))
+    launcher = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
+    command = [*launcher, "-m", "sculpt_framework.cli.train", *common, str(tmp_path / "shared")]
+    done = subprocess.run(command, env=environment(installed), capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "shared" / "mesh.ply").read_bytes() == (tmp_path / "alone" / "mesh.ply").read_bytes()
+
+
+@pytest.mark.slow
 def test_it_is_watched(installed: Path, scenes: Path, tmp_path: Path):
     out = tmp_path / "run"
     more = ["--viewer", "--observers.viser.port", "0", "--steps", "400", "--data", str(scenes / "one")]

@@ -15,8 +15,8 @@ class ViserConfig(ObserverConfig):
 
     host: str = "127.0.0.1"
     """Address to listen on: one of this machine's own. Other machines come through an SSH tunnel."""
-    port: Annotated[int, between(1, 65_535)] = 7007
-    """Port to listen on."""
+    port: Annotated[int, between(0, 65_535)] = 7007
+    """Port to listen on; 0: any that is free."""
     seconds: Annotated[float, at_least(0)] = 2.0
     """Least seconds between two updates of the scene, while a browser looks."""
 

@@ -97,3 +97,16 @@ def test_faces_without_area_and_edges_with_one_face_cost_nothing():
     assert torch.isfinite(flat.grad).all()
     alone = BendingConfig().build()(extraction(vertices, faces[:1]))
     assert float(alone) == 0
+
+
+def test_its_gradient_is_the_same_to_the_bit_each_time():
+    ball = trimesh.creation.icosphere(subdivisions=6, radius=1.0)
+    noise = 0.01 * torch.randn((len(ball.vertices), 3), generator=torch.Generator().manual_seed(0))
+    vertices, faces = torch.from_numpy(np.array(ball.vertices)).float() + noise, np.array(ball.faces, np.int64)
+    term, found = BendingConfig().build(), []
+    for _ in range(5):
+        leaf = vertices.clone().requires_grad_()
+        term(extraction(leaf, faces)).backward()
+        assert leaf.grad is not None
+        found.append(leaf.grad)
+    assert all(torch.equal(gradient, found[0]) for gradient in found)

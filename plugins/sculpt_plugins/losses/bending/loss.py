@@ -31,7 +31,8 @@ class Bending(GeometryLoss):
         beside = _beside(faces)
         if len(beside) == 0:
             return vertices.new_zeros(())
-        a, b, c = vertices[faces[:, 0]], vertices[faces[:, 1]], vertices[faces[:, 2]]
+        # Not vertices[...]: the gradient of that is added up by threads in any order, and runs would not repeat.
+        a, b, c = (vertices.index_select(0, corner) for corner in faces.unbind(dim=1))
         crossed = torch.linalg.cross(b - a, c - a)
         with torch.no_grad():
             area = 0.5 * crossed.norm(dim=1) / extraction.grid.cell**2
@@ -40,7 +41,7 @@ class Bending(GeometryLoss):
         safe = torch.where((counts > 0)[:, None], crossed, crossed.new_tensor([0.0, 0.0, 1.0]))
         normals = safe / safe.norm(dim=1, keepdim=True)
         first, second = beside.T
-        apart = (normals[first] - normals[second]).square().sum(dim=1)
+        apart = (normals.index_select(0, first) - normals.index_select(0, second)).square().sum(dim=1)
         return (torch.minimum(counts[first], counts[second]) * apart / (apart + self._crease)).mean()
 
 

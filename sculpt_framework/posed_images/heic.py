@@ -1,5 +1,6 @@
 """HEIC, the format of iPhones: read with pillow-heif, which the extra ``heic`` brings."""
 
+from io import BytesIO
 from pathlib import Path
 from types import ModuleType
 
@@ -46,14 +47,16 @@ def read_heic(data: bytes, path: Path) -> tuple[np.ndarray | None, tuple[int, in
     return np.ascontiguousarray(pixels), (pixels.shape[1], pixels.shape[0])
 
 
-def heic_to_jpeg(path: Path, target: Path) -> None:
-    """Write the image as a JPEG, upright, with its EXIF. Raises DataError where it cannot be read."""
+def heic_as_jpeg(path: Path) -> bytes:
+    """The image as a JPEG file, upright, with its EXIF. Raises DataError where it cannot be read."""
     reader = _reader(path)
     try:
         image = reader.open_heif(path).to_pillow()
     except (OSError, ValueError, EOFError, RuntimeError) as error:
         raise DataError(f"{path}: cannot be read as HEIC ({error}); remove it, or convert it again.") from error
-    image.convert("RGB").save(target, "JPEG", quality=_QUALITY, subsampling=0, exif=image.info.get("exif") or b"")
+    jpeg = BytesIO()
+    image.convert("RGB").save(jpeg, "JPEG", quality=_QUALITY, subsampling=0, exif=image.info.get("exif") or b"")
+    return jpeg.getvalue()
 
 
 def _reader(path: Path) -> ModuleType:

@@ -14,7 +14,7 @@ import numpy as np
 
 from sculpt_framework.errors import DataError, OutputError
 from sculpt_framework.export.atomic import cannot_write, write_atomically
-from sculpt_framework.posed_images.heic import heic_to_jpeg
+from sculpt_framework.posed_images.heic import heic_as_jpeg
 from sculpt_framework.posed_images.masks import read_mask
 from sculpt_framework.posing import colmap
 from sculpt_framework.posing.announcer import Announcer
@@ -209,7 +209,7 @@ def _placed(found: Photographs, scene: Path) -> Photographs:
             _place(found.root / name, target)
         elif not target.exists():
             target.parent.mkdir(parents=True, exist_ok=True)
-            _write_whole(target, lambda path, name=name: heic_to_jpeg(found.root / name, path))
+            write_atomically(target, heic_as_jpeg(found.root / name))
         masks.append(None if mask is None else _place(mask, scene / "masks" / f"{names[-1]}{mask.suffix}"))
     notes = (*found.notes, f"{len(heic)} HEIC photographs are written as JPEG.") if heic else found.notes
     return Photographs(root=scene / "images", names=tuple(names), masks=tuple(masks), notes=notes)
@@ -223,14 +223,10 @@ def _place(source: Path, target: Path) -> Path:
     try:
         os.link(source.resolve(), target)
     except OSError:
-        _write_whole(target, lambda path: shutil.copy2(source, path))
+        aside = target.with_name(f".{target.name}.{os.getpid()}.partial")
+        shutil.copy2(source, aside)
+        os.replace(aside, target)
     return target
-
-
-def _write_whole(target: Path, write: Callable[[Path], object]) -> None:
-    aside = target.with_name(f".{target.name}.{os.getpid()}.partial")
-    write(aside)
-    os.replace(aside, target)
 
 
 def _write_masks(photographs: Photographs, lenses: Sorted, folder: Path) -> Path | None:

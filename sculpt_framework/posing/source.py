@@ -61,7 +61,7 @@ def find_photographs(folder: Path) -> Photographs:
         what = "is no folder and no video" if folder.exists() else "no such folder or file"
         raise DataError(f"{folder}: {what}; expected a folder of photographs, or a video ({', '.join(VIDEOS)}).")
     root = next((folder / name for name in _IMAGE_FOLDERS if (folder / name).is_dir()), folder)
-    files = [path for path in root.rglob("*") if path.suffix.lower() in PHOTOGRAPHS and path.is_file()]
+    files = {path for path in root.rglob("*") if path.suffix.lower() in PHOTOGRAPHS and path.is_file()}
     by_folder = groupby(sorted(file for file in files if not _set_aside(file.relative_to(root))), lambda at: at.parent)
     paths = sorted(path for _, beside in by_folder for path in without_masks(list(beside)))
     # What an earlier call has made of a HEIC file beside it is not another photograph.

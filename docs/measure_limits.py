@@ -27,7 +27,7 @@ from sculpt_framework.evaluation.charts import Axis, Series, line_drawing, serie
 from sculpt_framework.evaluation.drawing_png import to_png
 from sculpt_framework.evaluation.geometry import MeasuredMesh
 from sculpt_framework.evaluation.mesh import load_mesh
-from sculpt_framework.evaluation.visibility import points_seen, seen_by_any, visible_distances
+from sculpt_framework.evaluation.visibility import points_seen, seen_by, visible_distances
 from sculpt_framework.export.atomic import write_atomically
 
 PICTURE = Path(__file__).parent / "pictures" / "low-resolution.png"
@@ -135,7 +135,7 @@ def measure(run: Path) -> Parts:
     if scene.reference_mesh is None:
         sys.exit(f"{scene.name}: no reference mesh; give demo scenes, which have one.")
     reference = MeasuredMesh(load_mesh(scene.reference_mesh), SAMPLES)
-    seen = seen_by_any(reference, [view.camera for view in scene.train])
+    seen = seen_by(reference, [view.camera for view in scene.train])
     shown, rest = visible_distances(mesh, reference, seen), visible_distances(mesh, reference, ~seen)
     own = MeasuredMesh(mesh, SAMPLES)
     outside = points_seen(own, own.samples.points, demo_cameras(LOOKOUTS, 400))

@@ -41,7 +41,7 @@ from sculpt_framework.evaluation.drawing import Drawing
 from sculpt_framework.evaluation.drawing_png import to_png
 from sculpt_framework.evaluation.geometry import MeasuredMesh
 from sculpt_framework.evaluation.mesh import Mesh, load_mesh
-from sculpt_framework.evaluation.visibility import Observed, seen_by_any, visible_distances
+from sculpt_framework.evaluation.visibility import Observed, seen_by, visible_distances
 from sculpt_framework.experiments.capture_measures import radius_of
 from sculpt_framework.export.decimation import decimate
 from sculpt_framework.export.mesh_files import vertex_normals
@@ -88,7 +88,7 @@ def measure_capture(folder: Path, out: Path, pairs: int, pixels: int, seconds: f
     truth = load_mesh(scene.reference_mesh)
     radius, reference = radius_of(truth), MeasuredMesh(truth, SAMPLES)
     cameras = [view.camera for view in scene.train]
-    seen, observed = seen_by_any(reference, cameras), Observed(cameras=cameras, box=scene.box)
+    seen, observed = seen_by(reference, cameras), Observed(cameras=cameras, box=scene.box)
     center = scene.box.center.double().numpy()
     images = PosedImages(scene.train, center, pairs_at_most=pairs, pixels_at_most=pixels)
     known = {(row["capture"], row["mesh"]) for row in read_rows(out / "trust.csv")}

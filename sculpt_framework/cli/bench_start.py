@@ -82,7 +82,7 @@ def _rows(data: str, request: StartRequest) -> list[StartRow]:
 
     from sculpt_framework.evaluation.geometry import MeasuredMesh, chamfer
     from sculpt_framework.evaluation.mesh import load_mesh
-    from sculpt_framework.evaluation.visibility import seen_by_any, visible_distances
+    from sculpt_framework.evaluation.visibility import seen_by, visible_distances
     from sculpt_framework.sculpting.images import in_object_frame
 
     dataset = registry.default("dataset", "auto")
@@ -91,7 +91,7 @@ def _rows(data: str, request: StartRequest) -> list[StartRow]:
     if scene.reference_mesh is None:
         raise DataError(f"{data}: has no reference mesh; expected gt_mesh.ply in the folder.")
     reference = MeasuredMesh(load_mesh(Path(scene.reference_mesh)), request.samples)
-    seen = seen_by_any(reference, [view.camera for view in scene.train])
+    seen = seen_by(reference, [view.camera for view in scene.train])
     views = [in_object_frame(view, scene.box) for view in scene.train]
     rows = []
     for name in request.initializers:

@@ -117,9 +117,9 @@ def _of_run(run_dir: Path, request: EvaluateRequest) -> Mapping[str, Any]:
     report = _of_mesh(run_dir / "mesh.ply", reference, prepared, request)
     if request.visible_only and prepared is not None:
         from sculpt_framework.evaluation.mesh import load_mesh
-        from sculpt_framework.evaluation.visibility import seen_by_any, visible_distances
+        from sculpt_framework.evaluation.visibility import seen_by, visible_distances
 
-        seen = seen_by_any(prepared, [view.camera for view in finished.scene.train])
+        seen = seen_by(prepared, [view.camera for view in finished.scene.train])
         report["visible"] = asdict(visible_distances(load_mesh(run_dir / "mesh.ply"), prepared, seen))
     if request.consistency:
         report["consistency"] = _consistency(run_dir / "mesh.ply", finished.scene)

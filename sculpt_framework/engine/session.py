@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -15,6 +14,7 @@ from sculpt_framework.cpu_kernels import CompileSeconds
 from sculpt_framework.engine import announcements
 from sculpt_framework.engine.clock import TrainingClock
 from sculpt_framework.engine.known_good import KnownGood
+from sculpt_framework.engine.measuring import Measuring
 from sculpt_framework.engine.milestones import Milestones
 from sculpt_framework.engine.output import prepare_output
 from sculpt_framework.engine.planning import planned
@@ -84,7 +84,8 @@ class Session(Host):
         self.views: Sequence[View] = [self.scene.train[index] for index in chosen]
         """What is learned from, in world frame."""
         self.evaluator = Evaluator(config, self.scene, held_out)
-        self._milestones = Milestones(given=config.max_time)
+        milestones = Milestones(given=config.max_time)
+        self._measuring = Measuring(self.evaluator, self.clock, milestones, self.processes, self.tell)
         self.reconstructor: Reconstructor = config.build(self.scene, self)
         shown = self.evaluator.views[:1] or self.views[:1]
         self._album = Album(shown[0], self.evaluator.reference)
@@ -223,7 +224,7 @@ class Session(Host):
             self._alone()  # What is left to do is the first one's.
 
     def _alone(self) -> None:
-        self.processes = Alone()
+        self.processes = self._measuring.processes = Alone()
         self.reconstructor.alone()
 
     def _keep_better(self, progress: float, *, trainable: bool = True) -> float | None:
@@ -281,8 +282,7 @@ class Session(Host):
 
     def _measure_if_due(self, progress: float) -> dict[str, Tensor] | None:
         """The state that was measured, if one was."""
-        due, clock = self._milestones.due, self.clock
-        if (reason := self.processes.first(lambda: due(progress, clock.train_seconds))) is None:
+        if (reason := self._measuring.due(progress)) is None:
             return None
         self._evaluate(reason, progress)
         if self.step == 0:
@@ -302,25 +302,11 @@ class Session(Host):
             self.tell("decision", announcements.cut_short(rule.gain(watched), factor))
 
     def show_start(self, make: Callable[[], tuple[Mesh, Mapping[str, Any]] | None]) -> None:
-        if self.processes.first(self._milestones.start_due):
-            self._add_row("start", 0.0, lambda: self.evaluator.measure_start(make))
+        self._measuring.start(make)
 
     def _evaluate(self, reason: str, progress: float) -> None:
-        """Measure what the method has; of the result, all there is to measure."""
-        measure = self.evaluator.measure_result if reason == "result" else self.evaluator.measure
-        self._add_row(reason, progress, lambda: measure(self.reconstructor))
+        self._measuring.method(reason, progress, self.reconstructor)
         self._keep_best(reason, self._milestones.latest("psnr"))
-
-    def _add_row(self, reason: str, progress: float, measure: Callable[[], dict[str, Any] | None]) -> None:
-        """A row of the curve, if there is something to tell; the clock stands still meanwhile."""
-        began = self.clock.now
-        with self.clock.pause(), torch.no_grad():
-            measured = self.processes.first(measure)
-        self._milestones.charge(seconds := self.clock.now - began)
-        if measured is not None:
-            row = {"reason": reason, "progress": progress, "t_cpu_s": self.clock.cpu_seconds, **measured}
-            self._milestones.add(progress, row)
-            self.tell("evaluation", {**row, "seconds": seconds})
 
     def _keep_best(self, reason: str, score: float | None) -> None:
         """Keep the state if its held-out views are the best of the last stage so far.
@@ -330,6 +316,10 @@ class Session(Host):
         """
         if score is not None and self._in_last_stage and (reason != "time" or self.config.max_time is not None):
             self._known_good.offer(score, self.reconstructor.state)
+
+    @property
+    def _milestones(self) -> Milestones:
+        return self._measuring.milestones
 
     @property
     def _in_last_stage(self) -> bool:
@@ -391,7 +381,7 @@ class Session(Host):
 
     def _go_on_from(self, saved: Saved) -> None:
         state, progress = saved
-        self._milestones = Milestones(progress.milestones, self.config.max_time)
+        self._measuring.milestones = Milestones(progress.milestones, self.config.max_time)
         if not self._milestones.staged:  # Stopped before the first step, which measures the first stage.
             self._milestones.enter_stage()
         self._schedule.begin(progress.progress)

@@ -27,48 +27,52 @@ class VisibleDistances:
     """Distances between a result A and the part of a reference B that is seen; scene units, N samples each way.
 
     ``accuracy`` is the mean over A's samples whose nearest sample of B is seen, ``completeness`` over B's seen samples,
-    ``point_to_surface`` the mean of the two. Infinite where there is nothing to take a mean of.
+    ``point_to_surface`` the mean of the two, ``median`` the mean of both medians. Infinite where there is nothing to
+    take a mean of.
     """
 
     point_to_surface: float
+    median: float
     accuracy: float
     completeness: float
     seen_share: float
     """Of the reference's area, in [0, 1], to the error of sampling."""
 
 
-def seen_by_any(surface: MeasuredMesh, cameras: Sequence[Camera]) -> Bool[np.ndarray, " n"]:
-    """Which of a surface's own samples at least one camera sees: in its image, in front of it, nothing in between.
+def seen_by(surface: MeasuredMesh, cameras: Sequence[Camera], least: int = 1) -> Bool[np.ndarray, " n"]:
+    """Which of a surface's own samples at least so many cameras see: in the image, in front, nothing in between.
 
     Cameras are in the frame of the surface. The surface need not be closed or oriented.
     """
-    return points_seen(surface, surface.samples.points, cameras)
+    return points_seen(surface, surface.samples.points, cameras, least)
 
 
 def points_seen(
-    surface: MeasuredMesh, points: Float64[np.ndarray, "n 3"], cameras: Sequence[Camera]
+    surface: MeasuredMesh, points: Float64[np.ndarray, "n 3"], cameras: Sequence[Camera], least: int = 1
 ) -> Bool[np.ndarray, " n"]:
     """The same for points on the surface."""
-    seen = np.zeros(len(points), dtype=bool)
+    seeing = np.zeros(len(points), dtype=np.int32)
     slack = _SLACK * surface.mesh.diagonal
     for camera in cameras:
-        candidates = np.flatnonzero(~seen)
+        candidates = np.flatnonzero(seeing < least)
         candidates = candidates[_in_image(points[candidates], camera)]
         origin = camera.position.double().numpy()
         ways = points[candidates] - origin
         reached = surface.first_hits(np.broadcast_to(origin, ways.shape), ways) * np.linalg.norm(ways, axis=1)
-        seen[candidates] = reached >= np.linalg.norm(ways, axis=1) - slack
-    return seen
+        seeing[candidates] += reached >= np.linalg.norm(ways, axis=1) - slack
+    return seeing >= least
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Observed:
-    """What photographs that cut an object off can be asked for: what a camera sees, away from the box's walls, where a
+    """What photographs that cut an object off can be asked for: what cameras see, away from the box's walls, where a
     closed surface has to end."""
 
     cameras: Sequence[Camera]
     box: Box
     """World frame, as the cameras."""
+    least: int = 1
+    """Cameras that must see a place of the result: what one sees alone may be at any depth."""
 
     def inside(self, points: Float64[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
         low, high = self.box.minimum.double().numpy(), self.box.maximum.double().numpy()
@@ -92,17 +96,22 @@ def visible_distances(
         seen = seen & observed.inside(reference.samples.points)
     share = float(seen.mean())
     if not result.areas.sum() > 0 or not seen.any():
-        return VisibleDistances(point_to_surface=np.inf, accuracy=np.inf, completeness=np.inf, seen_share=share)
+        nothing = np.inf
+        return VisibleDistances(
+            point_to_surface=nothing, median=nothing, accuracy=nothing, completeness=nothing, seen_share=share
+        )
     measured = MeasuredMesh(result, len(seen), seed + 1)
     chosen = seen[reference.nearest_samples(measured.samples.points)]
     if observed is not None:
-        chosen &= observed.inside(measured.samples.points) & seen_by_any(measured, observed.cameras)
+        chosen &= observed.inside(measured.samples.points) & seen_by(measured, observed.cameras, observed.least)
     there, _ = reference.squared_distances(measured.samples.points[chosen])
     back, _ = measured.squared_distances(reference.samples.points[seen])
     accuracy = float(np.sqrt(there).mean()) if chosen.any() else np.inf
     completeness = float(np.sqrt(back).mean())
+    medians = (np.sqrt(np.median(each)) if len(each) else np.inf for each in (there, back))
     return VisibleDistances(
         point_to_surface=0.5 * (accuracy + completeness),
+        median=0.5 * float(sum(medians)),
         accuracy=accuracy,
         completeness=completeness,
         seen_share=share,

@@ -17,7 +17,7 @@ from sculpt_framework.evaluation.certificate import certify
 from sculpt_framework.evaluation.consistency import CURVE_PAIRS, CURVE_PIXELS, EVALUATION_PIXELS, PosedImages
 from sculpt_framework.evaluation.geometry import MeasuredMesh, chamfer
 from sculpt_framework.evaluation.mesh import Mesh, load_mesh
-from sculpt_framework.evaluation.visibility import Observed, seen_by_any, visible_distances
+from sculpt_framework.evaluation.visibility import Observed, seen_by, visible_distances
 from sculpt_framework.experiments.plan import Cell, Plan
 from sculpt_framework.experiments.runner import ended_as, run_folder
 from sculpt_framework.experiments.suites import Suite
@@ -26,7 +26,11 @@ from sculpt_framework.export.json_text import json_text
 from sculpt_framework.types import Scene
 
 FOLDER = "measures"
+_SCHEMA = 2
+"""Of the figures that are kept; those of another are measured anew."""
 _SAMPLES = 200_000
+_SEEING = 3
+"""Cameras from which on a place is well seen: its depth can be measured, and checked."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +67,10 @@ class Capture:
                 raise DataError(f"{scene.reference_mesh} cannot be compared with: all its faces have area 0.")
             self._truth = MeasuredMesh(truth, _SAMPLES)
             cameras = [view.camera for view in scene.train]
-            self._seen, self._observed = seen_by_any(self._truth, cameras), Observed(cameras=cameras, box=scene.box)
+            self._asked = {
+                least: (seen_by(self._truth, cameras, least), Observed(cameras=cameras, box=scene.box, least=least))
+                for least in (1, _SEEING)
+            }
             self.radius = radius_of(truth)
 
     def measure(self, mesh: Mesh) -> Mapping[str, Any]:
@@ -75,11 +82,16 @@ class Capture:
         certificate = certify(mesh.vertices, mesh.faces)
         out |= {"faces": len(mesh.faces), "watertight": certificate.watertight}
         if self._truth is not None:
-            distances = asdict(visible_distances(mesh, self._truth, self._seen, observed=self._observed))
-            names = {"point_to_surface": "distance", "accuracy": "accuracy", "completeness": "completeness"}
-            # Infinitely far is a mesh that has nothing where the truth is seen.
-            out |= {name: distances[key] if np.isfinite(distances[key]) else None for key, name in names.items()}
-            out |= {"seen_share": distances["seen_share"]}
+            names = {
+                "point_to_surface": "distance", "median": "distance_median", "accuracy": "accuracy",
+                "completeness": "completeness", "seen_share": "seen_share",
+            }  # fmt: skip
+            for least, (seen, observed) in self._asked.items():
+                distances = asdict(visible_distances(mesh, self._truth, seen, observed=observed))
+                after = "" if least == 1 else "_well_seen"
+                for key, name in names.items():
+                    # Infinitely far is a mesh that has nothing where the truth is seen.
+                    out[name + after] = distances[key] if np.isfinite(distances[key]) else None
             out["chamfer_ps"] = chamfer(mesh, self._truth, samples=_SAMPLES, point_to_point=False).point_to_surface
         return out
 
@@ -157,7 +169,7 @@ def _measured(capture: Capture, task: Task) -> Measured:
 
 
 def _keep(task: Task, measured: Measured) -> None:
-    document = {"schema": 1, "mesh": _digest(task.mesh), **asdict(measured)}
+    document = {"schema": _SCHEMA, "mesh": _digest(task.mesh), **asdict(measured)}
     task.kept.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(task.kept, (json_text(document, indent=1) + "\n").encode())
 
@@ -166,7 +178,7 @@ def _kept(task: Task) -> Measured:
     """What is kept of the mesh as it is now."""
     try:
         document = json.loads(task.kept.read_text(encoding="utf-8"))
-        if document["mesh"] == _digest(task.mesh):
+        if document["schema"] == _SCHEMA and document["mesh"] == _digest(task.mesh):
             return Measured(values=document["values"], error=document["error"])
     except (OSError, ValueError, KeyError, TypeError):
         pass

@@ -45,7 +45,7 @@ class Photograph:
     luminance: Float[np.ndarray, "h w"]
     """In [0, 1]. Arrays and gradients are of its precision."""
     usable: Bool[np.ndarray, "h w"]
-    """Pixels of the object that are not saturated."""
+    """Pixels that show nothing but the object."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -120,8 +120,8 @@ def find_depths(
     """Depth maps of all views, their cameras in the object frame, within the ``solid`` part (value below 0).
 
     ``tell`` hears what share of the work is done. A view without neighbours at a useful angle has no depths. Nothing is
-    known in plain and saturated places, nor where fewer than ``options.agreeing`` other views say the same or more of
-    them see through.
+    known in plain places, saturated ones among them, nor where fewer than ``options.agreeing`` other views say the same
+    or more of them see through.
     """
     # No finer than the images are.
     native = [2 * max(v.camera.fx, v.camera.fy) / max(float(v.camera.position.norm()), 1e-9) for v in views]
@@ -227,7 +227,7 @@ def _sweep(
         if len(others[i]):
             judges = min(_JUDGES, len(others[i])) if each.geometric else len(others[i])
             kernels.improve(
-                stack.luminance, stack.usable, stack.inside, stack.lenses, i, others[i], stack.relative(i, others[i]),
+                stack.luminance, stack.inside, stack.lenses, i, others[i], stack.relative(i, others[i]),
                 before, each.geometric, planes.nearest[i], planes.farthest[i], min(_COUNTED, judges), judges,
                 _STRIDE, each.sweeps, np.float32(each.span), each.tries, each.fresh, seed * len(stack) + i,
                 planes.depths[i], planes.normals[i], planes.costs[i],

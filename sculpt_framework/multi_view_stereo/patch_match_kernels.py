@@ -40,10 +40,10 @@ def _draw(state):
 
 
 @njit(inline="always", **_OPTIONS)
-def _cut_window(luminance, usable, view, row, column, stride, window):
+def _cut_window(luminance, inside, view, row, column, stride, window):
     """Fill the window around a pixel. Returns (sum of weights, weighted mean, variance).
 
-    ``stride`` pixels lie between its samples. Those outside of the usable pixels, or of another luminance than the
+    ``stride`` pixels lie between its samples. Those outside of the mask, or of another luminance than the
     middle, count little or nothing.
     """
     height, width = luminance.shape[1], luminance.shape[2]
@@ -55,7 +55,7 @@ def _cut_window(luminance, usable, view, row, column, stride, window):
             a, b = p * stride, q * stride
             i, j = row + a, column + b
             value, weight = middle, _ZERO
-            if 0 <= i < height and 0 <= j < width and usable[view, i, j]:
+            if 0 <= i < height and 0 <= j < width and inside[view, i, j]:
                 value = luminance[view, i, j]
                 apart = (value - middle) / _ALIKE
                 weight = _ONE / (_ONE + apart * apart)
@@ -189,7 +189,7 @@ def _cost(luminance, inside, lenses, own, others, asked, judges, relative, befor
 
 
 @njit(**_OPTIONS)
-def improve(luminance, usable, inside, lenses, view, others, relative, before, geometric, nearest, farthest, counted, asked, stride, sweeps, span, tries, fresh, seed, depths, normals, costs):  # fmt: skip # noqa: E501
+def improve(luminance, inside, lenses, view, others, relative, before, geometric, nearest, farthest, counted, asked, stride, sweeps, span, tries, fresh, seed, depths, normals, costs):  # fmt: skip # noqa: E501
     """Sweep over one view's pixels, each trying the planes of its two neighbours behind it, and some near its own.
 
     ``depths`` [h, w], ``normals`` [h, w, 3] and ``costs`` [h, w] are changed in place. ``before`` are depths of all
@@ -223,7 +223,7 @@ def improve(luminance, usable, inside, lenses, view, others, relative, before, g
                 if not far > 0:
                     depths[row, column] = _ZERO
                     continue
-                moments = _cut_window(luminance, usable, view, row, column, stride, window)
+                moments = _cut_window(luminance, inside, view, row, column, stride, window)
                 if not moments[2] > _PLAIN:
                     depths[row, column], costs[row, column] = _ZERO, _NEVER
                     continue

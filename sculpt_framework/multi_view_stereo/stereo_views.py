@@ -13,8 +13,6 @@ from sculpt_framework.types import Camera, View
 
 _MARGIN = 2
 """Pixels of the input kept around the object."""
-SATURATED = 0.98
-"""A colour channel from which on it says only that there was much light."""
 LUMINANCE = np.array([0.299, 0.587, 0.114], np.float32)
 _AIM, _NARROW, _WIDE = 12.0, 5.0, 12.0
 """Degrees between two views that are compared at best, and how fast they count less below and above: more moves the
@@ -36,8 +34,6 @@ class StereoViews:
     """In [0, 1]; 0 outside of the masks."""
     inside: Bool[np.ndarray, "v h w"]
     """Pixels that show the object: of its mask, or of the image where there is none."""
-    usable: Bool[np.ndarray, "v h w"]
-    """Of these the ones that are not saturated, which can be compared."""
     poses: Float32[np.ndarray, "v 3 4"]
     lenses: Float32[np.ndarray, "v 4"]
     positions: Float32[np.ndarray, "v 3"]
@@ -91,7 +87,6 @@ class _Part:
     camera: Camera
     luminance: Float32[np.ndarray, "h w"]
     inside: Bool[np.ndarray, "h w"]
-    saturated: Bool[np.ndarray, "h w"]
 
 
 def stereo_views(views: Sequence[View], pixels_per_unit: float) -> StereoViews:
@@ -105,12 +100,11 @@ def stereo_views(views: Sequence[View], pixels_per_unit: float) -> StereoViews:
     height = max((part.luminance.shape[0] for part in parts), default=0)
     width = max((part.luminance.shape[1] for part in parts), default=0)
     luminance = np.zeros((len(parts), height, width), np.float32)
-    inside, usable = np.zeros(luminance.shape, bool), np.zeros(luminance.shape, bool)
+    inside = np.zeros(luminance.shape, bool)
     for i, part in enumerate(parts):
         rows, columns = part.luminance.shape
         luminance[i, :rows, :columns] = part.luminance
         inside[i, :rows, :columns] = part.inside
-        usable[i, :rows, :columns] = part.inside & ~part.saturated
     cameras = [part.camera for part in parts]
     lenses = [[camera.fx, camera.fy, camera.cx, camera.cy] for camera in cameras]
     poses = [camera.world_to_camera[:3].double().numpy() for camera in cameras]
@@ -118,7 +112,6 @@ def stereo_views(views: Sequence[View], pixels_per_unit: float) -> StereoViews:
     return StereoViews(
         luminance=luminance,
         inside=inside,
-        usable=usable,
         poses=np.array(poses, np.float32).reshape(-1, 3, 4),
         lenses=np.array(lenses, np.float32).reshape(-1, 4),
         positions=np.array(positions, np.float32).reshape(-1, 3),
@@ -140,12 +133,10 @@ def _prepare(view: View, pixels_per_unit: float) -> _Part | None:
     scale = min(1.0, pixels_per_unit * distance / max(camera.fx, camera.fy))
     size = max(1, round(camera.width * scale)), max(1, round(camera.height * scale))
     # Multiplied by the coverage, so that what is beside the object is not mixed in, and divided by it again.
-    saturated = (rgb.max(axis=2) >= SATURATED).astype(np.float32)
-    layers = np.dstack([(rgb @ LUMINANCE) * alpha, alpha, saturated])
-    luminance, coverage, blown = np.moveaxis(cv2.resize(layers, size, interpolation=cv2.INTER_AREA), 2, 0)
+    layers = np.dstack([(rgb @ LUMINANCE) * alpha, alpha])
+    luminance, coverage = np.moveaxis(cv2.resize(layers, size, interpolation=cv2.INTER_AREA), 2, 0)
     return _Part(
         camera=camera.resized(*size),
         luminance=np.where(coverage > 0.02, luminance / np.maximum(coverage, np.float32(0.02)), np.float32(0)),
         inside=coverage >= 0.5,
-        saturated=blown > 0.5,
     )

@@ -1,13 +1,16 @@
-"""The far side: what no view shows, closed by a membrane where the hull has a cone."""
+"""The far side: what no view shows, closed by a membrane where the hull has a cone, by planes where it has no end."""
 
 import logging
+from collections.abc import Sequence
 
 import igl
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int64
 from scipy import ndimage, sparse
 
+from sculpt_framework.shape_from_images.enclosing import enclosed, reaches_walls
 from sculpt_framework.shape_from_images.volume import Volume, signed_distance
+from sculpt_framework.types import Camera
 
 _FACING = 0.1
 """Cosine to the line of sight from which on a view sees a surface: below, it sees an edge."""
@@ -35,21 +38,28 @@ _WORTH = 0.5
 """Cells that something has to move for it to be worth doing."""
 
 
-def close_unseen(solid: Volume, positions: Float32[np.ndarray, "v 3"]) -> Volume:
-    """The shape with the parts of its surface that face away from all ``positions`` drawn in to where they bend least.
+def close_unseen(solid: Volume, cameras: Sequence[Camera]) -> Volume:
+    """The shape with the parts of its surface that face away from all cameras drawn in to where they bend least.
 
-    ``solid`` is a signed distance, negative inside, and the positions those of the cameras, both in the object frame.
-    The lines of sight that touch an object's outline go on behind it and meet in a cone. There each patch of the
-    surface that no camera can see becomes a membrane of least bending (bi-Laplacian, Botsch and Kobbelt 2004). On a
-    round object the cone touches the surface, and the membrane leaves it in the direction that it has. A cone that
-    starts at a crease starts at an edge of the object: there the direction is free, and where it is all around the
-    membrane is a soap film, flat under a flat rim. Nothing is added, as the silhouettes bound the object, and of what
-    lies nearer to what is seen than to the cone a cell and a half are left. Parts that only others hide stay as they
-    are. Returns ``solid`` itself if less than half a cell would change, if there are fewer than five views, or if more
-    than three fifths of the surface are not seen.
+    ``solid`` is a signed distance, negative inside, in the frame of the cameras. The lines of sight that touch an
+    object's outline go on behind it and meet in a cone. There each patch of the surface that no camera can see becomes
+    a membrane of least bending (bi-Laplacian, Botsch and Kobbelt 2004). On a round object the cone touches the surface,
+    and the membrane leaves it in the direction that it has. A cone that starts at a crease starts at an edge of the
+    object: there the direction is free, and where it is all around the membrane is a soap film, flat under a flat rim.
+    Nothing is added, as the silhouettes bound the object, and of what lies nearer to what is seen than to the cone a
+    cell and a half are left. Parts that only others hide stay as they are.
+
+    A shape that reaches the walls of its volume has no such cone, and is ``enclosed`` instead. Returns ``solid`` itself
+    if less than half a cell would change, if there are fewer than five views, or if more than three fifths of the
+    surface are not seen.
     """
+    if len(cameras) < _FEWEST:
+        return solid
+    if reaches_walls(solid):
+        return enclosed(solid, cameras)
+    positions = np.array([camera.position.cpu().numpy() for camera in cameras], np.float32)
     vertices, faces = _triangles(solid)
-    if not len(faces) or len(positions) < _FEWEST:
+    if not len(faces):
         return solid
     adjacency = igl.adjacency_matrix(faces)
     unseen = _unseen(vertices, faces, adjacency, positions)

@@ -7,7 +7,7 @@ from numba import njit, prange
 
 # No "nnan": a point that is not a number has no distance.
 _OPTIONS = {"fastmath": {"nsz", "contract", "reassoc", "arcp"}, "error_model": "numpy", "cache": True, "nogil": True}
-_ZERO, _NEAR, _NAN = np.float32(0), np.float32(1e-6), np.float32(np.nan)
+_ZERO, _HALF, _NEAR, _NAN = np.float32(0), np.float32(0.5), np.float32(1e-6), np.float32(np.nan)
 _LARGEST = np.finfo(np.float32).max
 _NEXT = np.uintp(1)
 _BLOCK = 4096
@@ -99,6 +99,26 @@ def _look_up(outline, stride, per_depth, is_open, depths, beyond, right, below, 
             most[n] = max(most[n], pixels * depths[n] * per_depth)
 
 
+@njit(**_OPTIONS)
+def _look_beyond(points, lens, size, per_depth, least):
+    """Lower ``least`` to the distances of points from what the image can show, negative inside."""
+    # Counted from the middle of the first pixel.
+    last_row, last_column = np.float32(size[0]) - _HALF, np.float32(size[1]) - _HALF
+    for n in range(points.shape[1]):
+        x, y, z = points[0, n], points[1, n], points[2, n]
+        depth = lens[8] * x + lens[9] * y + lens[10] * z + lens[11]
+        if not depth > _NEAR:
+            continue
+        column = (lens[0] * x + lens[1] * y + lens[2] * z + lens[3]) / depth
+        row = (lens[4] * x + lens[5] * y + lens[6] * z + lens[7]) / depth
+        across = max(-_HALF - column, column - last_column)
+        along = max(-_HALF - row, row - last_row)
+        pixels = max(across, along)
+        if across > 0 and along > 0:
+            pixels = math.sqrt(across * across + along * along)
+        least[n] = min(least[n], pixels * depth * per_depth)
+
+
 @njit(parallel=True, **_OPTIONS)
 def carve(points, outlines, starts, lenses, per_depth, sizes, is_open, nearest, furthest, distances):
     """Fill ``distances`` with the largest that any view's silhouette gives a point, between ``nearest`` and
@@ -107,9 +127,10 @@ def carve(points, outlines, starts, lenses, per_depth, sizes, is_open, nearest, 
     ``outlines`` has the views' signed distances in pixels, one after the other from ``starts`` on, in rows, with a row
     and a column more than ``sizes`` says. ``lenses`` lead to pixels, ``per_depth`` from pixels at depth 1 to lengths. A
     view says nothing about what is behind it, nor, where its silhouette ``is_open`` to the border, of what lies beyond.
-    Beyond the border of others nothing is nearer than this: the silhouette is inside.
+    Beyond the border of others nothing is nearer than this: the silhouette is inside. Where all are open, nothing is
+    known of what no image shows: it is outside, as far away as the nearest image's edge.
     """
-    count = points.shape[1]
+    count, all_open = points.shape[1], is_open.all()
     for block in prange((count + _BLOCK - 1) // _BLOCK):
         # View by view, so that a view's outline stays in the cache; in two loops, the first of which is vectorised.
         begin, end = block * _BLOCK, min((block + 1) * _BLOCK, count)
@@ -125,6 +146,12 @@ def carve(points, outlines, starts, lenses, per_depth, sizes, is_open, nearest, 
             _look_up(
                 outline, np.uintp(stride), per_depth[view], is_open[view], depths, beyond, right, below, places, most
             )
+        if all_open:
+            least = np.full(end - begin, furthest)
+            for view in range(starts.shape[0]):
+                _look_beyond(some, lenses[view], sizes[view], per_depth[view], least)
+            for n in range(end - begin):
+                most[n] = max(most[n], least[n])
         for n in range(end - begin):
             known = abs(some[0, n]) + abs(some[1, n]) + abs(some[2, n]) <= _LARGEST
             most[n] = min(most[n], furthest) if known else _NAN

@@ -8,7 +8,7 @@ import trimesh
 from sculpt_framework.demo_scenes.cameras import demo_cameras
 from sculpt_framework.evaluation.geometry import MeasuredMesh, chamfer
 from sculpt_framework.evaluation.mesh import Mesh
-from sculpt_framework.evaluation.visibility import Observed, seen_by_any, visible_distances
+from sculpt_framework.evaluation.visibility import Observed, seen_by, visible_distances
 from sculpt_framework.types import Box, Camera
 
 FROM_ABOVE = torch.tensor([[1.0, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 4], [0, 0, 0, 1]], dtype=torch.float64)
@@ -25,7 +25,7 @@ def mesh_of(shape: trimesh.Trimesh) -> Mesh:
 
 def test_a_box_from_above_shows_its_top_alone():
     surface = MeasuredMesh(mesh_of(trimesh.creation.box(extents=(1, 1, 1))), samples=6000)
-    seen = seen_by_any(surface, [camera()])
+    seen = seen_by(surface, [camera()])
     np.testing.assert_array_equal(seen, surface.samples.points[:, 2] > 0.5 - 1e-9)
 
 
@@ -33,21 +33,46 @@ def test_a_sphere_shows_a_cap():
     """From distance d the cap with z above r^2 / d."""
     surface = MeasuredMesh(mesh_of(trimesh.creation.icosphere(subdivisions=5)), samples=20_000)
     height = surface.samples.points[:, 2]
-    seen = seen_by_any(surface, [camera()])
+    seen = seen_by(surface, [camera()])
     assert seen[height > 0.27].all()
     assert not seen[height < 0.23].any()
     assert seen.mean() == pytest.approx(0.5 * (1 - 0.25), abs=0.01)
 
 
+def test_how_many_cameras_see_a_place():
+    """Two from above and one from the side: of a box, the top is seen by two, a side by one."""
+    surface = MeasuredMesh(mesh_of(trimesh.creation.box(extents=(1, 1, 1))), samples=6000)
+    across = torch.tensor([[0.0, 0, -1, 0], [0, -1, 0, 0], [-1.0, 0, 0, 4], [0, 0, 0, 1]], dtype=torch.float64)
+    cameras = [camera(), camera(pose=across), camera()]
+    top, side = surface.samples.points[:, 2] > 0.5 - 1e-9, surface.samples.points[:, 0] > 0.5 - 1e-9
+    # A point beside an edge may be seen across it.
+    clear = (np.abs(surface.samples.points) < 0.499).sum(axis=1) == 2
+    np.testing.assert_array_equal(seen_by(surface, cameras)[clear], (top | side)[clear])
+    np.testing.assert_array_equal(seen_by(surface, cameras, 2)[clear], top[clear])
+    assert not seen_by(surface, cameras, 3)[clear].any()
+
+
+def test_the_median_leaves_out_what_is_far_off():
+    """A box whose top is right but for a tenth of it, far too high."""
+    wide, tower = trimesh.creation.box(extents=(1, 1, 1)), trimesh.creation.box(extents=(0.3, 0.3, 1))
+    tower.apply_translation((0, 0, 0.5))
+    reference = MeasuredMesh(mesh_of(wide), samples=6000)
+    measured = visible_distances(
+        mesh_of(trimesh.boolean.union([wide, tower])), reference, seen_by(reference, [camera()])
+    )
+    assert measured.median < 1e-9
+    assert measured.point_to_surface > 0.02
+
+
 def test_what_is_outside_the_image_or_behind_is_not_seen():
     surface = MeasuredMesh(mesh_of(trimesh.creation.icosphere(subdivisions=4)), samples=5000)
-    near = seen_by_any(surface, [camera(focal=400.0)])
+    near = seen_by(surface, [camera(focal=400.0)])
     points = surface.samples.points[near]
     # 50 pixels from the middle, at focal length 400, are an eighth of the depth.
     assert np.abs(points[:, :2]).max() <= (4 - points[:, 2]).max() / 8
-    assert 0 < near.sum() < seen_by_any(surface, [camera()]).sum()
+    assert 0 < near.sum() < seen_by(surface, [camera()]).sum()
     turned = torch.diag(torch.tensor([-1.0, 1.0, -1.0, 1.0], dtype=torch.float64)) @ FROM_ABOVE
-    assert not seen_by_any(surface, [camera(pose=turned)]).any()
+    assert not seen_by(surface, [camera(pose=turned)]).any()
 
 
 def test_something_in_between_hides():
@@ -55,7 +80,7 @@ def test_something_in_between_hides():
     upper, lower = trimesh.creation.box(extents=(1, 1, 0.01)), trimesh.creation.box(extents=(2, 2, 0.01))
     upper.apply_translation([0, 0, 2])
     both = MeasuredMesh(mesh_of(trimesh.util.concatenate([upper, lower])), samples=20_000)
-    seen = seen_by_any(both, [camera()])
+    seen = seen_by(both, [camera()])
     x, y, z = both.samples.points.T
     on_top = np.isclose(z, 0.005)
     # The upper plate's lower edge is at depth 2.005 and half-width 0.5; on the lower plate its shadow is larger.
@@ -67,8 +92,8 @@ def test_something_in_between_hides():
 
 def test_all_of_a_convex_object_is_seen_from_all_sides():
     surface = MeasuredMesh(mesh_of(trimesh.creation.icosphere(subdivisions=3, radius=0.8)), samples=3000)
-    assert seen_by_any(surface, demo_cameras(60, 200)).mean() > 0.99
-    assert not seen_by_any(surface, []).any()
+    assert seen_by(surface, demo_cameras(60, 200)).mean() > 0.99
+    assert not seen_by(surface, []).any()
 
 
 def test_what_nobody_sees_is_not_counted():
@@ -76,7 +101,7 @@ def test_what_nobody_sees_is_not_counted():
     whole = mesh_of(trimesh.creation.box(extents=(1, 1, 1)))
     reference = MeasuredMesh(whole, samples=5000)
     open_below = Mesh(vertices=whole.vertices, faces=whole.faces[whole.corners[:, :, 2].max(axis=1) > 0])
-    seen = seen_by_any(reference, [camera()])
+    seen = seen_by(reference, [camera()])
     assert chamfer(open_below, reference, samples=5000).completeness > 0.02
     measured = visible_distances(open_below, reference, seen)
     assert measured.seen_share == pytest.approx(1 / 6, abs=0.01)
@@ -94,7 +119,7 @@ def test_where_the_box_cuts_the_object_nothing_is_compared():
     bar = mesh_of(trimesh.creation.box(extents=(4, 1, 1)))
     cut = mesh_of(trimesh.creation.box(extents=(2, 1, 1)))
     reference, cameras = MeasuredMesh(bar, samples=8000), demo_cameras(40, 100)
-    seen, half = seen_by_any(reference, cameras), torch.tensor([1.0, 0.6, 0.6], dtype=torch.float64)
+    seen, half = seen_by(reference, cameras), torch.tensor([1.0, 0.6, 0.6], dtype=torch.float64)
     observed = Observed(cameras=cameras, box=Box(minimum=-half, maximum=half))
     assert visible_distances(cut, reference, seen).point_to_surface > 0.05
     measured = visible_distances(cut, reference, seen, observed=observed)

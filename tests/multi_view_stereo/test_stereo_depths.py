@@ -127,6 +127,19 @@ def test_nothing_is_known_where_images_say_nothing(value: float) -> None:
     assert (maps.depths[outer] > 0).mean() > 0.7
 
 
+def test_one_clipped_channel_does_not_hide_what_the_others_show(slanted: list[View]) -> None:
+    """As red does of sand in the sun."""
+    clipped = []
+    for view in slanted:
+        rgb = view.rgb.clone()
+        rgb[..., 0] = 1.0
+        clipped.append(replace(view, rgb=rgb))
+    maps = find_depths(clipped, box(), OPTIONS)
+    middle = in_middle(maps)
+    assert ((maps.depths > 0) & middle).sum() > 0.8 * middle.sum()
+    assert np.median(off_by(maps, truth_of(SLANTED, maps.views))) < 0.1
+
+
 def test_two_views_say_something_only_if_one_other_is_enough(slanted: list[View]) -> None:
     pair = slanted[4:6]
     assert find_depths(pair, box(), OPTIONS).known == 0

@@ -1,9 +1,11 @@
 """A ball whose hull is drawn out behind it, where nobody looks, into a cone."""
 
 import numpy as np
+from cameras_around import camera_from
 
 from sculpt_framework.shape_from_images.closing import close_unseen
 from sculpt_framework.shape_from_images.volume import Volume
+from sculpt_framework.types import Camera
 
 RADIUS = 0.6
 DISTANCE = 1.2
@@ -25,6 +27,10 @@ def cameras() -> np.ndarray:
     low = np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1)
     high = np.stack([0.7 * np.cos(turn), 0.7 * np.sin(turn), 0 * turn + 0.7], axis=1)
     return (DISTANCE * np.concatenate([low, high, [[0, 0, 1]]])).astype(np.float32)
+
+
+def at(positions: np.ndarray) -> list[Camera]:
+    return [camera_from((float(x), float(y), float(z)), (64, 64)) for x, y, z in positions]
 
 
 def ball(points: np.ndarray) -> np.ndarray:
@@ -51,7 +57,7 @@ def errors(shape: Volume) -> tuple[float, float]:
 
 def test_a_cone_becomes_the_far_side_of_a_ball():
     shape = volume(hull(centers()).reshape(CELLS, CELLS, CELLS))
-    closed = close_unseen(shape, cameras())
+    closed = close_unseen(shape, at(cameras()))
     before, after = errors(shape), errors(closed)
     assert before[0] > 1.0
     assert after[0] < 0.3 * before[0]
@@ -63,34 +69,34 @@ def test_what_is_seen_from_all_sides_is_returned_as_it_is():
     around = np.concatenate([cameras(), -cameras()])
     for values in (ball(centers()), hull(centers())):
         shape = volume(values.reshape(CELLS, CELLS, CELLS))
-        assert close_unseen(shape, around) is shape
+        assert close_unseen(shape, at(around)) is shape
 
 
 def test_without_a_surface_there_is_nothing_to_close():
     shape = volume(np.ones((CELLS, CELLS, CELLS)))
-    assert close_unseen(shape, cameras()) is shape
+    assert close_unseen(shape, at(cameras())) is shape
 
 
 def test_without_cameras_nothing_holds_a_patch():
     shape = volume(ball(centers()).reshape(CELLS, CELLS, CELLS))
-    assert close_unseen(shape, np.zeros((0, 3), np.float32)) is shape
+    assert close_unseen(shape, at(np.zeros((0, 3), np.float32))) is shape
 
 
 def test_one_view_says_too_little_about_the_far_side():
     shape = volume(ball(centers()).reshape(CELLS, CELLS, CELLS))
-    assert close_unseen(shape, cameras()[:1]) is shape
+    assert close_unseen(shape, at(cameras()[:1])) is shape
 
 
 def test_three_views_say_too_little_about_the_far_side():
     shape = volume(hull(centers()).reshape(CELLS, CELLS, CELLS))
-    assert close_unseen(shape, cameras()[[0, 8, 16]]) is shape
+    assert close_unseen(shape, at(cameras()[[0, 8, 16]])) is shape
 
 
 def test_a_surface_that_leaves_the_cells_is_closed_at_their_edge():
     """A bar from wall to wall, whose ends no camera above it sees: they stay where they are."""
     x, y, z = centers().T
     shape = volume((np.hypot(y, z) - 0.4 - 0 * x).reshape(CELLS, CELLS, CELLS))
-    closed = close_unseen(shape, 3 * cameras())
+    closed = close_unseen(shape, at(3 * cameras()))
     middle = slice(CELLS // 4, -CELLS // 4)
     assert ((closed.values < 0) == (shape.values < 0))[middle].mean() > 0.999
 
@@ -100,7 +106,7 @@ def test_a_thin_plate_keeps_its_thickness():
     x, y, z = np.abs(centers()).T
     plate = np.maximum(np.maximum(x, y) - 0.7, z - 0.08)
     shape = volume(plate.reshape(CELLS, CELLS, CELLS))
-    closed = close_unseen(shape, cameras())
+    closed = close_unseen(shape, at(cameras()))
     solid = (shape.values < 0).sum()
     assert (closed.values < 0).sum() > 0.97 * solid
 
@@ -134,7 +140,7 @@ def lowest(shape: Volume, radius: float) -> float:
 def test_a_pyramid_below_a_sharp_rim_becomes_flat():
     """Nothing tells where the lower side of what stands on a table goes on from its edges."""
     shape = standing(centers()[:, 2] - 0.4, 0.6)
-    closed = close_unseen(shape, from_above())
+    closed = close_unseen(shape, at(from_above()))
     assert lowest(shape, 0.1) < -4 * shape.cell
     assert lowest(closed, 0.5) > -shape.cell
     # What is seen stays.
@@ -148,13 +154,13 @@ def test_a_membrane_does_not_cut_through_what_is_seen():
     floor = -0.04
     hollow = 0.34 - np.sqrt(x**2 + y**2 + (z - floor - 0.34) ** 2)
     shape = standing(np.maximum(z - 0.2, hollow), 0.6)
-    closed = close_unseen(shape, from_above())
+    closed = close_unseen(shape, at(from_above()))
     assert lowest(shape, 0.05) < lowest(closed, 0.05) < floor - shape.cell
 
 
 def test_a_patch_of_a_few_vertices_is_closed_as_well():
     """Nothing is left of it at the rings where a crease is looked for."""
     shape = standing(centers()[:, 2] - 0.4, 0.1)
-    closed = close_unseen(shape, from_above())
+    closed = close_unseen(shape, at(from_above()))
     assert np.isfinite(closed.values).all()
     assert (closed.values < 0).any()

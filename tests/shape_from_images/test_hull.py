@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 import torch
+from cameras_around import camera_from
 from scipy import ndimage
 from torch import Tensor
 
 from sculpt_framework.shape_from_images import hull_kernels
 from sculpt_framework.shape_from_images.hull import signed_mask_distance, visual_hull
 from sculpt_framework.shape_from_images.volume import sample
-from sculpt_framework.types import Camera, View
+from sculpt_framework.types import View
 
 CPU = torch.device("cpu")
 
@@ -23,22 +24,6 @@ def test_distances_are_exact(shape: tuple[int, int], share: float):
     out = np.empty(shape)
     hull_kernels.squared_distances(wanted, out)
     np.testing.assert_array_equal(np.sqrt(out), ndimage.distance_transform_edt(~wanted))
-
-
-def camera_from(position: tuple[float, float, float], size: tuple[int, int]) -> Camera:
-    """At a place, looking at the origin, its focal length as wide as the image."""
-    width, height = size
-    back = torch.tensor(position, dtype=torch.float64)
-    ahead = -back / back.norm()
-    side = torch.linalg.cross(ahead, torch.tensor([0.1, 0.2, 1.0], dtype=torch.float64))
-    side = side / side.norm()
-    rotation = torch.stack([side, torch.linalg.cross(ahead, side), ahead])
-    pose = torch.eye(4, dtype=torch.float64)
-    pose[:3, :3], pose[:3, 3] = rotation, -rotation @ back
-    return Camera(
-        fx=float(width), fy=1.1 * width, cx=0.47 * width, cy=0.55 * height, width=width, height=height,
-        world_to_camera=pose.float(),
-    )  # fmt: skip
 
 
 def ball_view(position: tuple[float, float, float], size: tuple[int, int], radius: float) -> View:
@@ -135,3 +120,21 @@ def test_a_volume_is_sampled_where_the_surface_is():
     np.testing.assert_allclose(volume.values[near], dense[near], atol=1e-5)
     np.testing.assert_allclose(volume.values, dense, atol=4 * volume.cell)
     assert sum(asked) < 0.6 * dense.size
+
+
+def test_what_no_image_shows_is_outside_where_all_masks_touch_their_borders():
+    """A ball larger than the images: above it, where masks say nothing, there is nothing either."""
+    views = [ball_view((3.0, y, 0.2), (40, 30), 2.5) for y in (-0.5, 0.0, 0.6)]
+    hull = visual_hull(views, 3, CPU)
+    high = torch.stack([torch.zeros(40), torch.zeros(40), torch.linspace(0.0, 3.0, 40)], dim=1)
+    shown = np.array(
+        [[bool(v.camera.shows(v.camera.project(high.double().numpy()))[i]) for v in views] for i in range(40)]
+    )
+    values = hull(high).numpy()
+    assert (values[shown.all(axis=1)] < 0).all()
+    assert (values[~shown.any(axis=1)] > 0).all()
+    assert (~shown.any(axis=1)).sum() > 10
+    # It is a distance: as far away as the nearest image's edge.
+    assert np.abs(np.diff(values)).max() < 1.2 * 3.0 / 39
+    closed = visual_hull([*views, ball_view((3.0, 0.0, 0.2), (40, 30), 0.3)], 4, CPU)
+    assert closed(torch.tensor([[0.0, 0.0, 2.9]])) > 0

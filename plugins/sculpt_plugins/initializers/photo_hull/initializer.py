@@ -59,7 +59,7 @@ class PhotoHull(Initializer):
                 finer = pack_views(chosen, float(2**level * config.pixels))
                 packed, maps = finer, refine_depths(finer, packed, maps, options)
             shape = carve(solid, packed, maps, config.margin * maps.step)
-        shape = close_unseen(shape, packed.positions)
+        shape = close_unseen(shape, [view.camera for view in chosen])
         if shape is solid:
             return
         yield shape.within(hull, device)

@@ -47,7 +47,7 @@ class Stereo(Initializer):
             logging.getLogger("sculpt").info(why)
         else:
             shape = fuse(solid, maps)
-        shape = close_unseen(shape, maps.views.positions)
+        shape = close_unseen(shape, [view.camera for view in chosen])
         if shape is solid:
             return
         yield shape.within(hull, device)

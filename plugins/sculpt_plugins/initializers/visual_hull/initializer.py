@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Sequence
 
-import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -35,7 +34,6 @@ class VisualHull(Initializer):
             return
         x, y, z = (float(side) for side in half_sides)
         solid = sample(hull, (x, y, z), self._config.cells, device)
-        positions = [view.camera.position.float().cpu().numpy() for view in views if view.alpha is not None]
-        closed = close_unseen(solid, np.stack(positions))
+        closed = close_unseen(solid, [view.camera for view in views if view.alpha is not None])
         if closed is not solid:
             yield closed.within(hull, device)

@@ -12,7 +12,7 @@ from torch.autograd.function import once_differentiable
 from sculpt_framework.export.mesh_pixels import visibility_slack
 from sculpt_framework.losses import TrainingImage, ViewsLoss
 from sculpt_framework.multi_view_stereo.agreement import Disagreement, Photograph, disagreement, look_at
-from sculpt_framework.multi_view_stereo.stereo_views import LUMINANCE, SATURATED, compared_with
+from sculpt_framework.multi_view_stereo.stereo_views import LUMINANCE, compared_with
 from sculpt_framework.threads import in_threads
 from sculpt_framework.types import Surface
 from sculpt_plugins.losses.consistency.config import ConsistencyConfig
@@ -90,9 +90,10 @@ class _Known(torch.autograd.Function):
 def _photograph(image: TrainingImage) -> Photograph:
     rgb = image.premultiplied.cpu().numpy()
     inside = np.ones(rgb.shape[:2]) if image.alpha is None else image.alpha.cpu().numpy()
-    usable = ((inside > 0.99) & (rgb.max(axis=2) < SATURATED)).astype(np.uint8)
     # A sample takes pixels up to two away.
-    usable = cv2.erode(usable, np.ones((5, 5), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    usable = cv2.erode(
+        (inside > 0.99).astype(np.uint8), np.ones((5, 5), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=0
+    )
     return Photograph(
         camera=image.camera, luminance=(rgb @ LUMINANCE).astype(np.float32), usable=np.asarray(usable) > 0
     )

@@ -57,7 +57,17 @@ def main() -> None:
     for _ in range(chosen.repeats + 1):
         torch.manual_seed(0)
         field, generator = config.field.build(device), torch.Generator().manual_seed(0)
-        whole(field, config, scene.train, scene.box, detail, generator, device, lambda target: None)
+        whole(
+            field,
+            config.initializer.build(),
+            config,
+            scene.train,
+            scene.box,
+            detail,
+            generator,
+            device,
+            lambda target: None,
+        )
     sys.stdout.write(f"{'part':36} {'wall':>6} {'CPU':>6}\n")
     for name, times in rows.items():
         per_run = len(times) // (chosen.repeats + 1)

@@ -6,6 +6,11 @@ from sculpt_framework.types import Scene
 
 
 class Dataset(ABC):
+    @property
+    def lacks_cameras(self) -> bool:
+        """Whether ``load`` has to find cameras first, which takes minutes and leaves a folder beside the data."""
+        return False
+
     @abstractmethod
     def load(self) -> Scene:
         """Read everything.

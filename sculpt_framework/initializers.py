@@ -1,7 +1,7 @@
 """Slot ``initializer``: the surface optimisation starts from."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import torch
 from jaxtyping import Float
@@ -16,6 +16,11 @@ class Initializer(ABC):
     @abstractmethod
     def silhouette_first(self) -> bool:
         """Whether the start is so rough that silhouettes alone must shape it before colours can (paper, 3.3)."""
+
+    @property
+    def findings(self) -> Mapping[str, float]:
+        """What the views gave to start from, by name, once ``targets`` has run: told with the start."""
+        return {}
 
     @abstractmethod
     def targets(

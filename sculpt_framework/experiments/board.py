@@ -47,7 +47,7 @@ class ConsoleBoard(Board):
         self._progress.stop()
 
     def warming_up(self, scene: str) -> None:
-        self._say(f"warming up on {scene}: rendering, reading and compiling are done before anything is timed")
+        self._say(f"warming up on {scene}: rendering and compiling are done before anything is timed")
 
     def warned(self, message: str) -> None:
         self._say(f"warning: {message}")

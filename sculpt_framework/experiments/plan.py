@@ -98,8 +98,8 @@ class Plan:
     title: str
     cells: tuple[Cell, ...]
     warm_ups: Mapping[str, tuple[str, ...]]
-    """Words of a short run on each scene's data, by its label, that is thrown away, so that no run that counts renders
-    a demo scene, reads files for the first time or compiles kernels."""
+    """Words of a short run by a scene's label, of the first scene and of each that is rendered, that is thrown away, so
+    that no run that counts renders a demo scene or compiles kernels."""
 
 
 def cross(
@@ -138,7 +138,8 @@ def cross(
     )
     short = config_of(settings[0], scenes[0], extra).short_words()
     first = {scene.data: scene for scene in reversed(scenes)}
-    warm_ups = {scene.label: (*_start_of(settings[0], scene, extra), *short) for scene in first.values()}
+    warmed = [scene for scene in first.values() if scene is scenes[0] or not Path(scene.data).exists()]
+    warm_ups = {scene.label: (*_start_of(settings[0], scene, extra), *short) for scene in warmed}
     return Plan(title=title, cells=cells, warm_ups=warm_ups)
 
 

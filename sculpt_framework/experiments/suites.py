@@ -168,10 +168,11 @@ def _is_scene(folder: Path) -> bool:
     from sculpt_framework import registry
 
     try:
-        cast("DatasetConfig", registry.default("dataset", "auto")).build(str(folder))
+        dataset = cast("DatasetConfig", registry.default("dataset", "auto")).build(str(folder))
     except DataError:
         return False
-    return True
+    # A folder of photographs is no capture yet; a suite writes nothing beside its data.
+    return not dataset.lacks_cameras
 
 
 def paper_column(paper: PaperTable, column: str) -> int | None:

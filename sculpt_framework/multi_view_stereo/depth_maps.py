@@ -70,6 +70,11 @@ class DepthMaps:
         """Share of the object's pixels that have a depth."""
         return float((self.depths > 0).sum() / max(1, self.views.inside.sum()))
 
+    @property
+    def mean_confidence(self) -> float:
+        """Over the pixels that have a depth; 0 if none has."""
+        return float(self.confidence.sum() / max(1, (self.depths > 0).sum()))
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Planes:

@@ -9,6 +9,7 @@ from sculpt_framework.extractors import Extractor
 from sculpt_framework.fields import Field
 from sculpt_framework.geometry.band import discover
 from sculpt_framework.geometry.signed_distance import SdfFunction
+from sculpt_framework.initializers import Initializer
 from sculpt_framework.sculpting.config import SculptingConfig
 from sculpt_framework.sculpting.images import in_object_frame
 from sculpt_framework.shape_from_images.volume import Volume, sample
@@ -30,6 +31,7 @@ _STEEPEST = 2.0
 
 def fit_to_views(
     field: Field,
+    initializer: Initializer,
     config: SculptingConfig,
     views: Sequence[View],
     box: Box,
@@ -38,7 +40,7 @@ def fit_to_views(
     device: torch.device,
     come_by: Callable[[SdfFunction], None],
 ) -> float:
-    """Fit the field to what the method's initializer makes of the views, in world frame; returns as ``fit_field``.
+    """Fit the field to what the initializer makes of the views, in world frame; returns as ``fit_field``.
 
     ``detail`` is the size of the first stage's cells in object units, which the field is told.
     ``come_by`` is shown what the initializer makes, as it makes it. Raises DataError if no start can be made from the
@@ -46,10 +48,10 @@ def fit_to_views(
     """
     cameras = [in_object_frame(view, box) for view in views]
     target = None
-    for target in config.initializer.build().targets(cameras, box.half_sides, device):
+    for target in initializer.targets(cameras, box.half_sides, device):
         come_by(target)
     if target is None:
-        raise ValueError(f"{type(config.initializer).__name__} makes nothing to start from")
+        raise ValueError(f"{type(initializer).__name__} makes nothing to start from")
     finest = config.trainer.base_cells << max(stage.level for stage in config.trainer.stages)
     cells = min(max(finest, _CELLS_AT_LEAST), _CELLS_AT_MOST)
     x, y, z = (float(side) for side in box.half_sides)

@@ -71,13 +71,13 @@ class Sculpting(Reconstructor):
     def begin(self) -> None:
         """Fit the field to the initial surface and find the cells it passes through."""
         config, parts, host, box = self.config, self.parts, self._host, self._box
-        random, device = self._generator, parts.device
+        random, device, initializer = self._generator, parts.device, config.initializer.build()
         error = fit_to_views(
-            self.trainer.field, config, host.views, box, parts.detail, random, device, self._show_start
+            self.trainer.field, initializer, config, host.views, box, parts.detail, random, device, self._show_start
         )
         self.trainer.equalize()
         name = type(config.initializer).__name__.removesuffix("Config")
-        host.tell("decision", {"item": "initial surface", "value": name, "fit_error": error})
+        host.tell("decision", {"item": "initial surface", "value": name, "fit_error": error, **initializer.findings})
         end = host.deadline(share_left=1 - _TIME_FOR_SILHOUETTES, seconds_left=3.0)
         for told in shape_by_silhouettes(parts, config, host.views, box, end):
             host.tell("decision", told)

@@ -129,8 +129,10 @@ def test_of_two_camps_the_larger_counts(many: float, few: float) -> None:
 
 
 def test_the_initializer_digs_within_the_hull(views: list[View]) -> None:
-    config = StereoConfig(cells=CELLS, pixels=66)
-    hull, target = config.build().targets(views, torch.ones(3), CPU)
+    initializer = StereoConfig(cells=CELLS, pixels=66).build()
+    hull, target = initializer.targets(views, torch.ones(3), CPU)
+    assert 0.5 < initializer.findings["depths_known"] <= 1.0
+    assert 0.3 < initializer.findings["confidence"] <= 1.0
     dense = sample(hull, (1.0, 1.0, 1.0), CELLS, CPU)
     points = torch.from_numpy(dense.points)
     assert bool((target(points) >= hull(points)).all())
@@ -140,7 +142,9 @@ def test_the_initializer_digs_within_the_hull(views: list[View]) -> None:
 def test_two_views_give_the_hull(views: list[View], caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO", "sculpt")
     pair = [photograph(BALL, camera, masked=True) for camera in fan()[4:6]]
-    (target,) = StereoConfig(cells=32, pixels=32).build().targets(pair, torch.ones(3), CPU)
+    initializer = StereoConfig(cells=32, pixels=32).build()
+    (target,) = initializer.targets(pair, torch.ones(3), CPU)
+    assert initializer.findings == {"depths_known": 0.0, "confidence": 0.0}
     hull = visual_hull(pair, 100, CPU)
     points = torch.from_numpy(ball(0.8).points)
     assert torch.equal(target(points), hull(points))

@@ -112,6 +112,10 @@ class AutoDataset(Dataset):
             )
         self._chosen, self._data = chosen, data
 
+    @property
+    def lacks_cameras(self) -> bool:
+        return self._demo is None and self._unposed
+
     def load(self) -> Scene:
         """Photographs without cameras are posed first, beside the data: ``data`` of the scene says where."""
         if self._demo is not None:

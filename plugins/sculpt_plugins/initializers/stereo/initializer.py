@@ -1,7 +1,7 @@
 """Multi-view stereo within the visual hull."""
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import torch
 from jaxtyping import Float
@@ -24,6 +24,12 @@ class Stereo(Initializer):
 
     def __init__(self, config: StereoConfig):
         self._config = config
+        self._findings: dict[str, float] = {}
+
+    @property
+    def findings(self) -> Mapping[str, float]:
+        """Share of the object's pixels that have a depth, and the mean confidence of these."""
+        return self._findings
 
     @property
     def silhouette_first(self) -> bool:
@@ -41,6 +47,7 @@ class Stereo(Initializer):
         chosen = masked[:: max(1, -(-len(masked) // config.max_views))]
         options = StereoOptions(pixels=config.pixels, neighbours=config.neighbours, agreeing=config.agreeing)
         maps = find_depths(chosen, solid, options)
+        self._findings = {"depths_known": maps.known, "confidence": maps.mean_confidence}
         shape = solid
         if maps.known == 0.0:
             why = "no views stand close enough to each other to compare them: start from the visual hull"

@@ -27,12 +27,14 @@ class VisibleDistances:
     """Distances between a result A and the part of a reference B that is seen; scene units, N samples each way.
 
     ``accuracy`` is the mean over A's samples whose nearest sample of B is seen, ``completeness`` over B's seen samples,
-    ``point_to_surface`` the mean of the two, ``median`` the mean of both medians. Infinite where there is nothing to
-    take a mean of.
+    ``point_to_surface`` the mean of the two, ``median`` the mean of both medians. ``normal_error`` is the angle between
+    the face of a sample and that nearest to it, mean of both directions, in degrees from 0 to 90. Infinite where there
+    is nothing to take a mean of.
     """
 
     point_to_surface: float
     median: float
+    normal_error: float
     accuracy: float
     completeness: float
     seen_share: float
@@ -98,23 +100,42 @@ def visible_distances(
     if not result.areas.sum() > 0 or not seen.any():
         nothing = np.inf
         return VisibleDistances(
-            point_to_surface=nothing, median=nothing, accuracy=nothing, completeness=nothing, seen_share=share
-        )
+            point_to_surface=nothing, median=nothing, normal_error=nothing, accuracy=nothing, completeness=nothing,
+            seen_share=share,
+        )  # fmt: skip
     measured = MeasuredMesh(result, len(seen), seed + 1)
     chosen = seen[reference.nearest_samples(measured.samples.points)]
     if observed is not None:
         chosen &= observed.inside(measured.samples.points) & seen_by(measured, observed.cameras, observed.least)
-    there, _ = reference.squared_distances(measured.samples.points[chosen])
-    back, _ = measured.squared_distances(reference.samples.points[seen])
-    accuracy = float(np.sqrt(there).mean()) if chosen.any() else np.inf
-    completeness = float(np.sqrt(back).mean())
-    medians = (np.sqrt(np.median(each)) if len(each) else np.inf for each in (there, back))
+    there, back = _compared(measured, chosen, reference), _compared(reference, seen, measured)
     return VisibleDistances(
-        point_to_surface=0.5 * (accuracy + completeness),
-        median=0.5 * float(sum(medians)),
-        accuracy=accuracy,
-        completeness=completeness,
+        point_to_surface=0.5 * (there.mean + back.mean),
+        median=0.5 * (there.median + back.median),
+        normal_error=0.5 * (there.angle + back.angle),
+        accuracy=there.mean,
+        completeness=back.mean,
         seen_share=share,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _OneWay:
+    mean: float
+    median: float
+    angle: float
+
+
+def _compared(source: MeasuredMesh, chosen: Bool[np.ndarray, " n"], target: MeasuredMesh) -> _OneWay:
+    """From the chosen samples of one surface to the other."""
+    if not chosen.any():
+        return _OneWay(mean=np.inf, median=np.inf, angle=np.inf)
+    squared, face = target.squared_distances(source.samples.points[chosen])
+    distances = np.sqrt(squared)
+    cosine = np.abs(np.einsum("ij,ij->i", source.samples.normals[chosen], target.unit_normals(face)))
+    return _OneWay(
+        mean=float(distances.mean()),
+        median=float(np.median(distances)),
+        angle=float(np.degrees(np.arccos(cosine.clip(0, 1))).mean()),
     )
 
 

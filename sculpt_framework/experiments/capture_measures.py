@@ -26,7 +26,7 @@ from sculpt_framework.export.json_text import json_text
 from sculpt_framework.types import Scene
 
 FOLDER = "measures"
-_SCHEMA = 2
+_SCHEMA = 3
 """Of the figures that are kept; those of another are measured anew."""
 _SAMPLES = 200_000
 _SEEING = 3
@@ -83,8 +83,8 @@ class Capture:
         out |= {"faces": len(mesh.faces), "watertight": certificate.watertight}
         if self._truth is not None:
             names = {
-                "point_to_surface": "distance", "median": "distance_median", "accuracy": "accuracy",
-                "completeness": "completeness", "seen_share": "seen_share",
+                "point_to_surface": "distance", "median": "distance_median", "normal_error": "normal_error",
+                "accuracy": "accuracy", "completeness": "completeness", "seen_share": "seen_share",
             }  # fmt: skip
             for least, (seen, observed) in self._asked.items():
                 distances = asdict(visible_distances(mesh, self._truth, seen, observed=observed))

@@ -25,11 +25,13 @@ MEASURED = (
     "radius",
     "distance",
     "distance_median",
+    "normal_error",
     "accuracy",
     "completeness",
     "seen_share",
     "distance_well_seen",
     "distance_median_well_seen",
+    "normal_error_well_seen",
     "accuracy_well_seen",
     "completeness_well_seen",
     "seen_share_well_seen",
@@ -54,6 +56,7 @@ _HEADINGS = (
     "distance, 1e-2 radius",
     "well seen",
     "its median",
+    "normals °",
     "distance",
     "residual px",
     "90 % px",
@@ -121,9 +124,9 @@ def capture_table(found: Sequence[Line]) -> Table:
 def capture_notes(suite: Suite) -> list[str]:
     """What a reader of the table must know, a line each."""
     out = [
-        "distance: mean of both directions over what of the truth any camera sees; well seen, its median: over what "
-        "three see, 1e-2 radius; radius: half of the longest side of the truth's bounding box, without truth of the "
-        "capture's box.",
+        "distance: mean of both directions over what of the truth any camera sees; well seen, its median, normals: "
+        "over what three see, 1e-2 radius and mean angle. radius: half of the longest side of the truth's bounding "
+        "box, without truth of the capture's box.",
         "residual, depth and roughness: of all pairs of photographs, the same for all meshes of a capture, with its "
         "own masks where it has some. Compare where about the same share is judged.",
         "PSNR: of the views each run held out for itself, without and after fitting one gain and offset per image and "
@@ -215,6 +218,7 @@ def _row(capture: str, name: str, same: Sequence[Line]) -> tuple[str, ...]:
         middle("distance", 3, times=100.0, per_radius=True),
         middle("distance_well_seen", 3, times=100.0, per_radius=True),
         middle("distance_median_well_seen", 3, times=100.0, per_radius=True),
+        middle("normal_error_well_seen", 1),
         _significant(median([v for line in same if (v := _value(line, "distance", False)) is not None])),
         middle("residual_px", 3),
         middle("residual_p90_px", 3),

@@ -10,8 +10,9 @@ import torch
 
 from sculpt_framework.posed_images.find_object import FoundObject, find_object
 from sculpt_framework.types import View
-from tests.datasets.test_find_object import SEED, BallAlone, OnTable, overlaps, ring
+from tests.datasets.test_find_object import SEED, SIDE, BallAlone, OnTable, overlaps, ring
 
+pytestmark = pytest.mark.slow
 Change = Callable[[list[View]], list[View]]
 _SANE = 0.75
 """Intersection over union with the truth, mean over the images, of a mask that may be called one of the object."""
@@ -78,7 +79,44 @@ def _cut(views: list[View]) -> list[View]:
     return out
 
 
+def _white_balance(view: View, index: int) -> torch.Tensor:
+    return view.rgb * torch.from_numpy(np.random.default_rng(index).uniform(0.6, 1.3, 3).astype(np.float32))
+
+
+def _vignetted(view: View, index: int) -> torch.Tensor:
+    rows, columns = np.indices(view.rgb.shape[:2]) / SIDE - 0.5
+    return view.rgb * torch.from_numpy((1 - rows**2 - columns**2).astype(np.float32))[..., None]
+
+
+def _as_jpeg(view: View, index: int) -> torch.Tensor:
+    _, coded = cv2.imencode(".jpg", (255 * view.rgb.numpy()).astype(np.uint8), [cv2.IMWRITE_JPEG_QUALITY, 40])
+    return torch.from_numpy(cv2.imdecode(coded, cv2.IMREAD_COLOR).astype(np.float32) / 255)
+
+
+def _spotted(view: View, index: int) -> torch.Tensor:
+    """Dirt on the lens, in the same place of each image."""
+    rgb = view.rgb.clone()
+    rgb[30:38, 40:48] = 0.1
+    return rgb
+
+
+def _lit_from_the_camera(view: View, index: int) -> torch.Tensor:
+    """A shadow moves over the table and the ball."""
+    columns = torch.arange(view.rgb.shape[1])
+    shaded = (columns > 12 * (index % 6)) & (columns < 12 * (index % 6) + 30)
+    return torch.where(shaded[None, :, None], 0.5 * view.rgb, view.rgb)
+
+
 KEPT: dict[str, Change] = {
+    "white balance of its own in each": _each(_white_balance),
+    "corners darkened by the lens": _each(_vignetted),
+    "coarse JPEG": _each(_as_jpeg),
+    "dirt on the lens": _each(_spotted),
+    "a shadow that moves": _each(_lit_from_the_camera),
+    "every fourth black": _each(lambda view, i: view.rgb * float(i % 4 > 0)),
+    "a channel that is clipped": _each(
+        lambda view, i: torch.cat([torch.ones_like(view.rgb[..., :1]), view.rgb[..., 1:]], -1)
+    ),
     "exposures from a half to one and a half": _each(lambda view, i: view.rgb * (0.5 + (i % 5) / 4)),
     "noise": _each(_noisy),
     "every other image blurred": _each(_blurred),
@@ -97,6 +135,9 @@ def _smaller(view: View) -> View:
 
 
 LOST: dict[str, Change] = {
+    "mirrored": _each(lambda view, i: view.rgb.flip(1)),
+    "upside down": _each(lambda view, i: view.rgb.flip(0).flip(1)),
+    "one colour each": _each(lambda view, i: torch.full_like(view.rgb, 0.1 + 0.03 * i)),
     "poses of another scene": _turned,
     "black": _each(lambda view, i: torch.zeros_like(view.rgb)),
     "white": _each(lambda view, i: torch.ones_like(view.rgb)),

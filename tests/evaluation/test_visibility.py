@@ -140,6 +140,19 @@ def test_where_all_is_seen_it_is_the_plain_distance():
     assert measured.completeness == plain.completeness
 
 
+@pytest.mark.parametrize("degrees", [0.0, 10.0, 170.0])
+def test_the_angle_between_two_sheets(degrees: float):
+    """Which of a sheet's sides is its front does not matter."""
+    corners = np.array([[-0.5, -0.5, 0.5], [0.5, -0.5, 0.5], [0.5, 0.5, 0.5], [-0.5, 0.5, 0.5]])
+    sheet = trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False)
+    tilted = sheet.copy().apply_translation((0, 0, -0.5))
+    tilted.apply_transform(trimesh.transformations.rotation_matrix(np.radians(degrees), (0, 1, 0)))
+    tilted.apply_translation((0, 0, 0.5))
+    reference = MeasuredMesh(mesh_of(sheet), samples=5000)
+    measured = visible_distances(mesh_of(tilted), reference, seen_by(reference, [camera()]))
+    assert measured.normal_error == pytest.approx(min(degrees, 180 - degrees), abs=0.7)
+
+
 def test_nothing_to_measure_is_infinitely_far():
     reference = MeasuredMesh(mesh_of(trimesh.creation.icosphere(subdivisions=1)), samples=100)
     nothing = Mesh(vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), np.int64))

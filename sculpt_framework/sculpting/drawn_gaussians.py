@@ -33,7 +33,8 @@ def draw_saved_gaussians(config: SculptingConfig, folder: Path, scene: Scene) ->
             f"{folder} has no {GAUSSIANS_NAME}: the run has not finished; go on with --resume {folder}"
         )
     world, box = read_gaussians_ply(path), scene.box
-    gaussians = replace(world, means=box.to_object(world.means.double()).float(), scales=world.scales / box.scale)
+    local = replace(world, means=box.to_object(world.means.double()).float(), scales=world.scales / box.scale)
     device = pick_device(config.device)
+    gaussians = local.to(device)
     rasterizer, low_pass = config.rasterizer.build(device), config.trainer.low_pass_px2
     return lambda camera: draw_gaussians(rasterizer, gaussians, box, camera, low_pass, device)

@@ -38,6 +38,10 @@ class Binder(ABC):
     @abstractmethod
     def gaussians_per_face(self) -> int: ...
 
+    def with_gaussians(self, per_face: int) -> "Binder":
+        """The same with so many Gaussians on a face; itself, where it knows no other number."""
+        return self
+
     @property
     @abstractmethod
     def rates(self) -> dict[str, float]:

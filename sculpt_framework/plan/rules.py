@@ -4,7 +4,7 @@ A rule is given the config as decided so far, and says what it would do and why.
 name, and only where the component has them; whether it may (``--plan.ITEM``, what the user has set) is not its matter.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from sculpt_framework import registry
@@ -44,6 +44,8 @@ FACE_SHARE = 0.7
 """Width of a face as a share of its cell's: two triangles for a square."""
 REST_AFTER = 20
 POLISH_GAIN_DB = 0.02
+POLISH_OF_VIEWS, POLISH_FRESH = 3, (60, 200)
+"""Steps for each view where Gaussians have to learn their colours anew, and how many at least and at most."""
 ACTIVE_EVERY = 60
 
 
@@ -179,13 +181,28 @@ def gaussians(config: SculptingConfig, evidence: Evidence) -> Ruling:
     measured = {"face_pixels": face, "contrast": fine}
     wanted = 1 if fine < FINE_TEXTURE else max(1, min(GAUSSIANS_MOST, round(area / GAUSSIAN_PIXELS)))
     if not any(name_of(each) == PHOTOMETRIC and each.weight > 0 for each in config.losses):
-        wanted = 1
-        why += ", but the surface does not learn from colours"
+        return _gaussians_of_polish(
+            config, wanted, count, f"{why}, but the surface does not learn from colours", measured
+        )
     if count is None or count == wanted:
         return Ruling(config=config, value=f"K = {count}", evidence=why, measured=measured)
     saves = f"{count - wanted} of {count} Gaussians on each face" if wanted < count else None
     decided = with_options(config, "binder", gaussians_per_face=wanted)
     return Ruling(config=decided, value=f"K = {wanted}, not {count}", evidence=why, measured=measured, saves=saves)
+
+
+def _gaussians_of_polish(
+    config: SculptingConfig, wanted: int, count: int | None, why: str, measured: Mapping[str, float]
+) -> Ruling:
+    """One on a face while the surface is sculpted, more only for the colours that are saved."""
+    if count is None:
+        return Ruling(config=config, value=f"K = {count}", evidence=why, measured=measured)
+    decided = with_options(config, "binder", gaussians_per_face=1)
+    if wanted == 1 or config.trainer.polish_steps == 0:
+        return Ruling(config=decided, value="K = 1", evidence=why, measured=measured)
+    decided = with_options(decided, "trainer", polish_gaussians=wanted)
+    value, saves = f"K = 1, and {wanted} while colours are polished", f"{wanted - 1} of {wanted} Gaussians until then"
+    return Ruling(config=decided, value=value, evidence=why, measured=measured, saves=saves)
 
 
 def places(config: SculptingConfig, evidence: Evidence) -> Ruling:
@@ -255,6 +272,11 @@ def polish(config: SculptingConfig, evidence: Evidence) -> Ruling:
     why = f"{evidence.views} views; the run has yet to show how long colours improve"
     if trainer.polish_steps == 0 or trainer.polish_gain_db > 0 or config.holdout_every == 0:
         return Ruling(config=config, value=f"{trainer.polish_steps} steps", evidence=why)
+    if trainer.polish_gaussians > 1:
+        least, most = POLISH_FRESH
+        steps = min(most, max(least, POLISH_OF_VIEWS * evidence.views))
+        why = f"{evidence.views} views, in whose light held-out ones differ too much to say when to end"
+        return Ruling(config=with_options(config, "trainer", polish_steps=steps), value=f"{steps} steps", evidence=why)
     return Ruling(
         config=with_options(config, "trainer", polish_gain_db=POLISH_GAIN_DB),
         value=f"at most {trainer.polish_steps} steps, until ten gain less than {POLISH_GAIN_DB} dB",
@@ -287,7 +309,9 @@ RULES: Sequence[Rule] = (
     Rule(item="images", touches=(STAGES,), decide=images),
     Rule(item="refinement", touches=("trainer.cell_pixels", "refine_box"), decide=refinement),
     Rule(item="sh_degree", touches=("appearance.sh_degree", "trainer.sh_degree_every"), decide=sh_degree),
-    Rule(item="gaussians", touches=("binder", "binder.gaussians_per_face"), decide=gaussians),
+    Rule(
+        item="gaussians", touches=("binder", "binder.gaussians_per_face", "trainer.polish_gaussians"), decide=gaussians
+    ),
     Rule(item="places", touches=("binder", "binder.places", "constraints"), decide=places),
     Rule(item="constraints", touches=("constraints", "trainer.rest_after"), decide=constraints),
     Rule(item="inner_steps", touches=(STAGES,), decide=inner_steps),

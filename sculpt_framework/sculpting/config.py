@@ -91,6 +91,8 @@ class TrainerConfig:
     the learning rates' share of their start: a longer step is shortened. 0: as far as the rates take it."""
     polish_steps: Annotated[int, at_least(0)] = 100
     """Inner steps on the final surface, for the colours that are saved."""
+    polish_gaussians: Annotated[int, between(1, 12)] = 1
+    """Gaussians on a face from then on, if the binder has fewer: colours finer than faces."""
     polish_gain_db: Annotated[float, at_least(0)] = 0.0
     """Stop that once twenty steps gain less than the twenty before on two held-out views; 0: never."""
     rest_after: Annotated[int, at_least(0)] = 0

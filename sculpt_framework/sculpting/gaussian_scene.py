@@ -68,6 +68,19 @@ class GaussianScene:
         self.appearance_rows.rekey(keys, new_rows, located=located)
         self._centroids = centroids
 
+    def rebind(self, binder: Binder) -> None:
+        """Lay other Gaussians on the same faces: where the binder has them begin, in the mean colour of their face."""
+        k, keys = binder.gaussians_per_face, self.appearance_rows.keys
+        colors = {
+            name: leaf.detach().mean(dim=1, keepdim=True).repeat_interleave(k, dim=1)
+            for name, leaf in self.appearance_rows.leaves.items()
+        }
+        places = binder.new_rows(len(keys), keys.device, torch.float32)
+        self.binder = binder
+        self.geometry_rows, self.appearance_rows = KeyedTable(binder.rates), KeyedTable(self.appearance.rates)
+        self.geometry_rows.rekey(keys, places)
+        self.appearance_rows.rekey(keys, colors)
+
     def bind(self, surface: Surface, *, learn: bool) -> Binding:
         """Gaussians without colour; ``learn`` lets gradients reach the binder's rows."""
         rows = self.geometry_rows.leaves

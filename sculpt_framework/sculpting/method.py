@@ -119,13 +119,18 @@ class Sculpting(Reconstructor):
         """Colours on the final surface, for as many steps as the method says and the time limit allows."""
         self._settled = None
         surface = self._follow()
-        kept = capture(self.trainer, self._stage, self._generator)
+        kept, scene = capture(self.trainer, self._stage, self._generator), self.trainer.scene
+        binder, wanted = scene.binder, self.config.trainer.polish_gaussians
         end = self._host.deadline(share_left=0.025, seconds_left=2.0)
+        if fresh := binder.gaussians_per_face < wanted:
+            scene.rebind(binder.with_gaussians(wanted))
         try:
-            for told in polish(self.trainer, surface, self.images, self._judge, self.config.trainer, end):
+            trainer = self.config.trainer
+            for told in polish(self.trainer, surface, self.images, self._judge, trainer, end, fresh=fresh):
                 self._host.tell("decision", told)
         except FloatingPointError as error:
             self._host.warn(f"colours are as training left them: {error}")
+            scene.binder = binder
             self.load_state(kept)
             self._follow()
         self._forget_shown()

@@ -18,6 +18,8 @@ CHUNK = 10
 """Steps between two looks at the clock and at what they have gained."""
 _RATE_AT_MOST = 0.3
 """Of the rates that a run begins with: higher ones would unsettle colours that are nearly right."""
+_FRESH_RATE = 3.0
+"""The same where Gaussians have only the colour of their face to begin with."""
 
 
 def polish(
@@ -27,16 +29,20 @@ def polish(
     judge: Judge | None,
     config: TrainerConfig,
     deadline: float | None,
+    *,
+    fresh: bool,
 ) -> list[dict[str, Any]]:
     """Inner steps on ``surface``: as many as the config says, fewer if they stop to gain or the deadline comes.
 
-    They go on at the rates that the run has ended with. Of colours that are watched the best are kept.
+    They go on at the rates that the run has ended with, or come down to them where the Gaussians are ``fresh``. Of
+    colours that are watched the best are kept.
 
     ``deadline`` is a ``time.monotonic()`` instant. Returns the data of the decision, if it ended for want of gain.
     """
     judge, first = judge if config.polish_gain_db > 0 else None, trainer.processes.first
     rule = StopRule(least_gain=config.polish_gain_db, latest=FEWEST)
-    learning, rate = trainer.scene.learning, min(_RATE_AT_MOST, config.final_rate)
+    learning, last = trainer.scene.learning, min(_RATE_AT_MOST, config.final_rate)
+    first_rate = _FRESH_RATE if fresh else last
 
     score = best = judge(object_gaussians(trainer.scene, surface)) if judge else 0.0
     watched = [(0.0, score)]
@@ -45,7 +51,8 @@ def polish(
     for done in range(CHUNK, config.polish_steps + CHUNK, CHUNK):
         if deadline is not None and first(lambda: time.monotonic() >= deadline):
             break
-        trainer.inner_loop(surface, images, CHUNK, rate_factor=rate)
+        passed = done / config.polish_steps
+        trainer.inner_loop(surface, images, CHUNK, rate_factor=first_rate * (last / first_rate) ** min(1.0, passed))
         if judge is None:
             continue
         score = judge(object_gaussians(trainer.scene, surface))

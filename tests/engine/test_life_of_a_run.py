@@ -161,6 +161,27 @@ def test_an_earlier_state_is_kept_if_it_is_clearly_better(
     assert bool(told) is gone_back
 
 
+def test_colours_may_be_polished_on_more_gaussians(scene: Scene):
+    session = Session(scene, small_config(steps=2, polish_steps=10, polish_gaussians=3))
+    result = finished(session)
+    assert len(result.gaussians) == 3 * len(result.faces)
+    assert torch.isfinite(result.gaussians.sh).all()
+
+
+def test_colours_that_break_are_those_of_training_on_as_many_gaussians(scene: Scene, monkeypatch: pytest.MonkeyPatch):
+    from sculpt_framework.sculpting import method
+
+    def breaking(*arguments: Any, **options: Any) -> Any:
+        raise FloatingPointError("the objective is not finite")
+
+    monkeypatch.setattr(method, "polish", breaking)
+    events: list[Event] = []
+    session = Session(scene, small_config(steps=2, polish_steps=10, polish_gaussians=3), emit=events.append)
+    result = finished(session)
+    assert len(result.gaussians) == len(result.faces)
+    assert any("colours are as training left them" in str(event.data) for event in events)
+
+
 def test_a_slow_start_takes_nothing_from_the_rates(scene: Scene, monkeypatch: pytest.MonkeyPatch):
     """A tenth of the time given is gone when optimisation begins; it begins with full rates."""
     from sculpt_framework.sculpting import method

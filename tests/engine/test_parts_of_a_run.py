@@ -146,6 +146,20 @@ def test_a_result_is_in_world_frame_without_specks(ball: tuple[GaussianScene, Su
     assert (distance < radius + 0.05).all()
 
 
+def test_more_gaussians_begin_in_the_colour_of_their_face(ball: tuple[GaussianScene, Surface]):
+    scene, surface = ball
+    with torch.no_grad():
+        scene.appearance_rows.leaves["residual_dc"].normal_(generator=torch.Generator().manual_seed(0))
+    before = object_gaussians(scene, surface)
+    scene.rebind(scene.binder.with_gaussians(3))
+    after = object_gaussians(scene, surface)
+    assert len(after) == 3 * len(before)
+    torch.testing.assert_close(after.sh, before.sh.repeat_interleave(3, dim=0), atol=0.02, rtol=0)
+    assert float((after.means.reshape(-1, 3, 3).mean(dim=1) - before.means).norm(dim=1).max()) < 0.03
+    scene.follow(surface)
+    torch.testing.assert_close(object_gaussians(scene, surface).sh, after.sh)
+
+
 def test_principal_axes_keep_covariance_and_normal(ball: tuple[GaussianScene, Surface]):
     scene, surface = ball
     gaussians = object_gaussians(scene, surface)

@@ -190,6 +190,18 @@ def test_gaussians_follow_the_texture_finer_than_a_face() -> None:
     assert changed["gaussians"].measured["face_pixels"] == pytest.approx(0.7 * 2 / 128 / 0.0036)
 
 
+def test_where_colours_teach_nothing_there_are_more_gaussians_only_to_be_polished() -> None:
+    large = replace(USUAL, pixel=0.0036, pixel_best=0.0036, pixel_worst=0.0038)
+    bare = without(method(), "losses", ["photometric"])
+    config, changed = decided(large, bare)
+    assert vars(config.binder)["gaussians_per_face"] == 1
+    assert (config.trainer.polish_gaussians, config.trainer.polish_gain_db) == (4, 0.0)
+    assert config.trainer.polish_steps == max(60, min(200, 3 * large.views))
+    assert changed["gaussians"].saves == "3 of 4 Gaussians until then"
+    plain, _ = decided(replace(large, contrast=(0.001,) * 4), bare)
+    assert plain.trainer.polish_gaussians == 1
+
+
 def test_small_faces_learn_no_places_and_need_no_constraints() -> None:
     config, changed = decided(USUAL)
     assert vars(config.binder)["places"] == "fixed"

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -42,6 +43,9 @@ class FaceBarycentricBinder(Binder):
     @property
     def gaussians_per_face(self) -> int:
         return self._config.gaussians_per_face
+
+    def with_gaussians(self, per_face: int) -> "FaceBarycentricBinder":
+        return FaceBarycentricBinder(replace(self._config, gaussians_per_face=per_face))
 
     @property
     def rates(self) -> dict[str, float]:

@@ -47,12 +47,13 @@ def polish(
     score = best = judge(object_gaussians(trainer.scene, surface)) if judge else 0.0
     watched = [(0.0, score)]
     kept = [tensor.detach().clone() for tensor in learning] if judge else []
-    told = []
+    told, began = [], time.monotonic()
     for done in range(CHUNK, config.polish_steps + CHUNK, CHUNK):
-        if deadline is not None and first(lambda: time.monotonic() >= deadline):
+        # Of the time there is, or of the steps: what ends first.
+        if (timed := first(lambda: _passed(began, deadline))) >= 1.0:
             break
-        passed = done / config.polish_steps
-        trainer.inner_loop(surface, images, CHUNK, rate_factor=first_rate * (last / first_rate) ** min(1.0, passed))
+        passed = min(1.0, max(timed, done / config.polish_steps))
+        trainer.inner_loop(surface, images, CHUNK, rate_factor=first_rate * (last / first_rate) ** passed)
         if judge is None:
             continue
         score = judge(object_gaussians(trainer.scene, surface))
@@ -68,3 +69,9 @@ def polish(
             for tensor, value in zip(learning, kept, strict=True):
                 tensor.copy_(value)
     return told
+
+
+def _passed(began: float, deadline: float | None) -> float:
+    """Share of the time until the deadline; 0 where there is none."""
+    now = time.monotonic()
+    return 0.0 if deadline is None else 1.0 if now >= deadline else (now - began) / (deadline - began)

@@ -30,7 +30,7 @@ def reaches_walls(solid: Volume) -> bool:
 
 
 def enclosed(solid: Volume, cameras: Sequence[Camera]) -> Volume:
-    """The part of the shape that lies in the convex hull of what at least three cameras see of its surface.
+    """The part of the shape that lies in the convex hull of what at least two cameras see of its surface.
 
     ``solid`` is a signed distance, negative inside, in the frame of the cameras. A camera sees a place that lies in its
     image and that nothing of the shape hides. Behind an object photographed from one side the shape would go on to the

@@ -80,6 +80,7 @@ def test_it_trains_is_evaluated_and_reported(installed: Path, scenes: Path, tmp_
     assert "has finished already" in again
 
 
+@pytest.mark.slow
 def test_killed_and_gone_on_with_it_ends_as_an_unbroken_one(installed: Path, scenes: Path, tmp_path: Path):
     common = ["--data", str(scenes / "one"), "--steps", "20", "--checkpoint-seconds", "0.001"]
     sculpt(installed, "train", "ball", *common, "--output", str(tmp_path / "whole"))

@@ -103,5 +103,5 @@ def test_of_a_start_nothing_is_known_without_a_reference(scene: Scene):
 
 
 def test_an_initializer_that_makes_nothing_is_an_error(scene: Scene):
-    with pytest.raises(ValueError, match="BallsConfig makes nothing to start from"):
+    with pytest.raises(ValueError, match="Balls makes nothing to start from"):
         rows_from(scene)

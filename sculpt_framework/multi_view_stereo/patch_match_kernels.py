@@ -43,8 +43,8 @@ def _draw(state):
 def _cut_window(luminance, inside, view, row, column, stride, window):
     """Fill the window around a pixel. Returns (sum of weights, weighted mean, variance).
 
-    ``stride`` pixels lie between its samples. Those outside of the mask, or of another luminance than the
-    middle, count little or nothing.
+    ``stride`` pixels lie between its samples. Those outside of the mask, or of another luminance than the middle,
+    count little or nothing.
     """
     height, width = luminance.shape[1], luminance.shape[2]
     middle = luminance[view, row, column]

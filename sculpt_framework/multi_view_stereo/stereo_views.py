@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, Int64
 
-from sculpt_framework.shape_from_images.windows import covered_window, relative_poses
+from sculpt_framework.shape_from_images.windows import camera_arrays, covered_window, relative_poses
 from sculpt_framework.threads import in_threads
 from sculpt_framework.types import Camera, View
 
@@ -105,16 +105,13 @@ def stereo_views(views: Sequence[View], pixels_per_unit: float) -> StereoViews:
         rows, columns = part.luminance.shape
         luminance[i, :rows, :columns] = part.luminance
         inside[i, :rows, :columns] = part.inside
-    cameras = [part.camera for part in parts]
-    lenses = [[camera.fx, camera.fy, camera.cx, camera.cy] for camera in cameras]
-    poses = [camera.world_to_camera[:3].double().numpy() for camera in cameras]
-    positions = [camera.position.double().numpy() for camera in cameras]
+    poses, lenses, positions = camera_arrays([part.camera for part in parts])
     return StereoViews(
         luminance=luminance,
         inside=inside,
-        poses=np.array(poses, np.float32).reshape(-1, 3, 4),
-        lenses=np.array(lenses, np.float32).reshape(-1, 4),
-        positions=np.array(positions, np.float32).reshape(-1, 3),
+        poses=poses,
+        lenses=lenses,
+        positions=positions,
         sizes=np.array([part.luminance.shape for part in parts], np.int64).reshape(-1, 2),
         given=np.array(given, np.int64),
     )

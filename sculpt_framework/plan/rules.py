@@ -4,7 +4,7 @@ A rule is given the config as decided so far, and says what it would do and why.
 name, and only where the component has them; whether it may (``--plan.ITEM``, what the user has set) is not its matter.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 from sculpt_framework import registry
@@ -180,28 +180,20 @@ def gaussians(config: SculptingConfig, evidence: Evidence) -> Ruling:
     why = f"texture finer than a face ({face:.1f} pixels) has a contrast of {fine:.3f}"
     measured = {"face_pixels": face, "contrast": fine}
     wanted = 1 if fine < FINE_TEXTURE else max(1, min(GAUSSIANS_MOST, round(area / GAUSSIAN_PIXELS)))
+    polished = 1
     if not any(name_of(each) == PHOTOMETRIC and each.weight > 0 for each in config.losses):
-        return _gaussians_of_polish(
-            config, wanted, count, f"{why}, but the surface does not learn from colours", measured
-        )
-    if count is None or count == wanted:
+        wanted, polished = 1, wanted if config.trainer.polish_steps else 1
+        why += ", but the surface does not learn from colours"
+    if count is None or (count == wanted and polished == 1):
         return Ruling(config=config, value=f"K = {count}", evidence=why, measured=measured)
+    decided, value = config, f"K = {wanted}"
     saves = f"{count - wanted} of {count} Gaussians on each face" if wanted < count else None
-    decided = with_options(config, "binder", gaussians_per_face=wanted)
-    return Ruling(config=decided, value=f"K = {wanted}, not {count}", evidence=why, measured=measured, saves=saves)
-
-
-def _gaussians_of_polish(
-    config: SculptingConfig, wanted: int, count: int | None, why: str, measured: Mapping[str, float]
-) -> Ruling:
-    """One on a face while the surface is sculpted, more only for the colours that are saved."""
-    if count is None:
-        return Ruling(config=config, value=f"K = {count}", evidence=why, measured=measured)
-    decided = with_options(config, "binder", gaussians_per_face=1)
-    if wanted == 1 or config.trainer.polish_steps == 0:
-        return Ruling(config=decided, value="K = 1", evidence=why, measured=measured)
-    decided = with_options(decided, "trainer", polish_gaussians=wanted)
-    value, saves = f"K = 1, and {wanted} while colours are polished", f"{wanted - 1} of {wanted} Gaussians until then"
+    if count != wanted:
+        decided, value = with_options(decided, "binder", gaussians_per_face=wanted), f"{value}, not {count}"
+    if polished > 1:
+        decided = with_options(decided, "trainer", polish_gaussians=polished)
+        value = f"{value}, and {polished} while colours are polished"
+        saves = f"{polished - 1} of {polished} Gaussians until then"
     return Ruling(config=decided, value=value, evidence=why, measured=measured, saves=saves)
 
 

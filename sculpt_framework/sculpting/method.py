@@ -122,8 +122,9 @@ class Sculpting(Reconstructor):
         kept, scene = capture(self.trainer, self._stage, self._generator), self.trainer.scene
         binder, wanted = scene.binder, self.config.trainer.polish_gaussians
         end = self._host.deadline(share_left=0.025, seconds_left=2.0)
-        if fresh := binder.gaussians_per_face < wanted:
-            scene.rebind(binder.with_gaussians(wanted))
+        more = binder.with_gaussians(max(wanted, binder.gaussians_per_face))
+        if fresh := more.gaussians_per_face > binder.gaussians_per_face:
+            scene.rebind(more)
         try:
             trainer = self.config.trainer
             for told in polish(self.trainer, surface, self.images, self._judge, trainer, end, fresh=fresh):

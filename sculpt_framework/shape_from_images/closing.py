@@ -10,6 +10,7 @@ from scipy import ndimage, sparse
 
 from sculpt_framework.shape_from_images.enclosing import enclosed, reaches_walls
 from sculpt_framework.shape_from_images.volume import Volume, signed_distance
+from sculpt_framework.shape_from_images.windows import camera_arrays
 from sculpt_framework.types import Camera
 
 _FACING = 0.1
@@ -57,7 +58,7 @@ def close_unseen(solid: Volume, cameras: Sequence[Camera]) -> Volume:
         return solid
     if reaches_walls(solid):
         return enclosed(solid, cameras)
-    positions = np.array([camera.position.cpu().numpy() for camera in cameras], np.float32)
+    _, _, positions = camera_arrays(cameras)
     vertices, faces = _triangles(solid)
     if not len(faces):
         return solid

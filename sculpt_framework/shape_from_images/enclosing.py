@@ -9,6 +9,7 @@ from scipy import ndimage, spatial
 
 from sculpt_framework.cpu_kernels import kernel_cache, share_threads
 from sculpt_framework.shape_from_images.volume import Volume, signed_distance
+from sculpt_framework.shape_from_images.windows import camera_arrays
 from sculpt_framework.types import Camera
 
 with kernel_cache("seeing", Path(__file__).with_name("seeing_kernels.py")):
@@ -59,12 +60,10 @@ def _views_seeing(
 ) -> Int32[np.ndarray, " n"]:
     share_threads()
     counts = np.zeros(len(points), np.int32)
+    poses, lenses, positions = camera_arrays(cameras)
+    sizes = np.array([[camera.height, camera.width] for camera in cameras], np.int64)
     seeing_kernels.count_seeing(
-        points,
-        np.array([camera.world_to_camera[:3].double().cpu().numpy() for camera in cameras], np.float32),
-        np.array([[camera.fx, camera.fy, camera.cx, camera.cy] for camera in cameras], np.float32),
-        np.array([[camera.height, camera.width] for camera in cameras], np.int64),
-        np.array([camera.position.double().cpu().numpy() for camera in cameras], np.float32),
-        solid.values < 0, np.array(solid.origin, np.float32), np.float32(solid.cell), _FIRST, counts,
+        points, poses, lenses, sizes, positions, solid.values < 0, np.array(solid.origin, np.float32),
+        np.float32(solid.cell), _FIRST, counts,
     )  # fmt: skip
     return counts

@@ -32,10 +32,9 @@ def visual_hull(views: Sequence[View], max_views: int, device: torch.device) -> 
 
     Exact at the hull's surface up to the masks' sampling, below the true distance outside. A mask that touches the
     border of its image says nothing about what lies beyond that border; where all masks do, what no image shows is
-    outside. At most ``max_views`` views are used, spread
-    evenly over the list. A mask that covers no pixel by half carves nothing: the object is thinner there than a pixel,
-    or the mask is lost. Cameras and points are in the same frame. Raises DataError where no view has a mask that
-    counts.
+    outside. At most ``max_views`` views are used, spread evenly over the list. A mask that covers no pixel by half
+    carves nothing: the object is thinner there than a pixel, or the mask is lost. Cameras and points are in the same
+    frame. Raises DataError where no view has a mask that counts.
     """
     masked = [view for view in views if view.alpha is not None]
     if not masked:

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float32, Int64
 
-from sculpt_framework.shape_from_images.windows import covered_window, relative_poses
+from sculpt_framework.shape_from_images.windows import camera_arrays, covered_window, relative_poses
 from sculpt_framework.types import View
 
 _MARGIN = 2
@@ -66,16 +66,13 @@ def pack_views(views: Sequence[View], pixels_per_unit: float) -> PackedViews:
         rows, columns = view.rgb.shape[:2]
         colors[i, :rows, :columns] = view.rgb.numpy()
         inside[i, :rows, :columns] = view.alpha.numpy() >= 0.5 if view.alpha is not None else True
-    cameras = [view.camera for view in packed]
-    lenses = [[camera.fx, camera.fy, camera.cx, camera.cy] for camera in cameras]
-    poses = [camera.world_to_camera[:3].double().numpy() for camera in cameras]
-    positions = [camera.position.double().numpy() for camera in cameras]
+    poses, lenses, positions = camera_arrays([view.camera for view in packed])
     return PackedViews(
         colors=colors,
         inside=inside,
-        poses=np.array(poses, np.float32).reshape(-1, 3, 4),
-        lenses=np.array(lenses, np.float32).reshape(-1, 4),
-        positions=np.array(positions, np.float32).reshape(-1, 3),
+        poses=poses,
+        lenses=lenses,
+        positions=positions,
     )
 
 

@@ -1,8 +1,12 @@
 """The part of an image that shows the object, and how views stand to each other."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int64
 from torch import Tensor
+
+from sculpt_framework.types import Camera
 
 
 def covered_window(alpha: Float[Tensor, "h w"], margin: int) -> tuple[int, int, int, int]:
@@ -21,6 +25,20 @@ def covered_window(alpha: Float[Tensor, "h w"], margin: int) -> tuple[int, int, 
 def touches_border(mask: Bool[np.ndarray | Tensor, "h w"]) -> bool:
     """Whether any pixel of the mask lies at the border of the image: what it shows may go on beyond."""
     return bool(mask[0].any() or mask[-1].any() or mask[:, 0].any() or mask[:, -1].any())
+
+
+def camera_arrays(
+    cameras: Sequence[Camera],
+) -> tuple[Float32[np.ndarray, "v 3 4"], Float32[np.ndarray, "v 4"], Float32[np.ndarray, "v 3"]]:
+    """World-to-camera matrices, (fx, fy, cx, cy) and positions, as kernels take them."""
+    poses = [camera.world_to_camera[:3].double().cpu().numpy() for camera in cameras]
+    lenses = [[camera.fx, camera.fy, camera.cx, camera.cy] for camera in cameras]
+    positions = [camera.position.double().cpu().numpy() for camera in cameras]
+    return (
+        np.array(poses, np.float32).reshape(-1, 3, 4),
+        np.array(lenses, np.float32).reshape(-1, 4),
+        np.array(positions, np.float32).reshape(-1, 3),
+    )
 
 
 def relative_poses(

@@ -18,9 +18,10 @@ MODULES = {"sculpt-data": "data", "sculpt-train": "train", "sculpt-export": "exp
 
 
 def _commands() -> list[list[str]]:
-    """In the order of the page, from its blocks and from within its sentences; the photographs here have cameras."""
+    """Each once, in the order of the page, from its blocks and sentences; the photographs here have cameras."""
     found = re.findall(r"(?:^    |`)(sculpt-(?:data|train|export) [^`\n]+)", PAGE.read_text(encoding="utf-8"), re.M)
-    return [shlex.split(line) for line in found if not re.search("RUN_DIR|--attributes$|^sculpt-data pose", line)]
+    kept = [line for line in dict.fromkeys(found) if not re.search("RUN_DIR|--attributes$|^sculpt-data pose", line)]
+    return [shlex.split(line) for line in kept]
 
 
 def _run(words: list[str], folder: Path) -> str:

@@ -5,10 +5,11 @@
 DIR are captures with ``gt_mesh.ply``, as ``docs/make_captures.py`` renders them. Of each, meshes are made that are
 wrong in known ways: the truth roughened, pitted, moved, scaled, smoothed, low-passed, decimated or spoilt in one half,
 and what a run starts from (visual hull, photo hull) and has after ``--seconds``. Each is measured twice:
-``residual_depth_p90`` by the photographs alone, and the distance to the truth over what the cameras see, point to
-surface.
+``depth_error`` by the photographs alone, and ``error``, the same percentile of how far the truth is off at the pixels
+that were judged.
 Lengths are in hundredths of half the longest side of the truth. Spearman's rank correlation over all meshes of all
-captures is printed, also by capture and for other readings of the residual, and OUT/trust.png shows each mesh.
+captures is printed, also by capture, for other readings of the residual, and with ``distance``, the mean distance to
+the truth over all that the cameras see; OUT/trust.png shows each mesh.
 OUT/trust.csv keeps what is measured; a mesh that is in it is not made again.
 
 Of pits three cells of 128 wide it is asked what ``plain_roughness`` says where the photographs are of the smooth truth,
@@ -36,7 +37,7 @@ from sculpt_framework import registry
 from sculpt_framework.config import DatasetConfig, InitializerConfig
 from sculpt_framework.errors import DataError
 from sculpt_framework.evaluation.charts import Axis, Series, line_drawing, series_colors
-from sculpt_framework.evaluation.consistency import PosedImages
+from sculpt_framework.evaluation.consistency import DEPTH_ERROR_PERCENTILE, PosedImages
 from sculpt_framework.evaluation.drawing import Drawing
 from sculpt_framework.evaluation.drawing_png import to_png
 from sculpt_framework.evaluation.geometry import MeasuredMesh
@@ -56,8 +57,9 @@ CELL = 2 / 128
 """Of a grid of 128 cells, in units of the radius."""
 SAMPLES = 50_000
 LAMP = np.array([0.36, -0.48, 0.8])
-READINGS = ("residual_depth_p90", "residual_depth", "residual_px", "residual_p90_px")
-COLUMNS = ("capture", "kind", "mesh", "error", *READINGS, "judged")
+LENGTHS = ("depth_error", "residual_depth", "residual_depth_p90")
+READINGS = (*LENGTHS, "residual_px", "residual_p90_px")
+COLUMNS = ("capture", "kind", "mesh", "error", "distance", *READINGS, "judged")
 TRUTH = "truth"
 Spoilt = Iterator[tuple[str, str, Callable[[], Mesh]]]
 """Kinds, names, and how to make them."""
@@ -91,6 +93,7 @@ def measure_capture(folder: Path, out: Path, pairs: int, pixels: int, seconds: f
     seen, observed = seen_by(reference, cameras), Observed(cameras=cameras, box=scene.box)
     center = scene.box.center.double().numpy()
     images = PosedImages(scene.train, center, pairs_at_most=pairs, pixels_at_most=pixels)
+    depths = [draw_mesh(truth.vertices, truth.faces, image.camera).depth for image in images.images]
     known = {(row["capture"], row["mesh"]) for row in read_rows(out / "trust.csv")}
     fine = with_faces(truth, radius)
     coarse = truth if len(truth.faces) <= FACES else fine
@@ -103,19 +106,32 @@ def measure_capture(folder: Path, out: Path, pairs: int, pixels: int, seconds: f
             sys.stdout.write(f"{folder.name} {name}: left out, {error}\n")
             continue
         found = images.measure(mesh)
-        error = visible_distances(mesh, reference, seen, observed=observed).point_to_surface
-        lengths = [
-            None if x is None else 100 * x / radius for x in (error, found.residual_depth_p90, found.residual_depth)
-        ]
+        error = depth_error(mesh, images, depths)
+        distance = visible_distances(mesh, reference, seen, observed=observed).point_to_surface
+        lengths = [error, distance, *(getattr(found, each) for each in LENGTHS)]
+        lengths = [None if x is None else 100 * x / radius for x in lengths]
         values = [*lengths, found.residual_px, found.residual_p90_px, found.judged]
         append_row(out / "trust.csv", [folder.name, kind, name, *values])
-        sys.stdout.write(f"{folder.name} {name}: error, residual depth p90 and median {lengths}\n")
+        sys.stdout.write(f"{folder.name} {name}: error {lengths[0]}, by photographs {lengths[2]}\n")
         sys.stdout.flush()
     if not (out / f"relief-{folder.name}.txt").exists():
-        pits, relief = pits_and_relief(fine, radius, scene, center, pairs, pixels)
-        told = f"{folder.name}: plain roughness of pits {pits}, of relief {relief}\n"
+        pits, relief, own = pits_and_relief(fine, radius, scene, center, pairs, pixels)
+        told = f"{folder.name}: plain roughness of pits {pits}, of relief {relief}; roughness of the truth {own}\n"
         (out / f"relief-{folder.name}.txt").write_text(told, encoding="utf-8")
         sys.stdout.write(told)
+
+
+def depth_error(mesh: Mesh, images: PosedImages, truth: Sequence[np.ndarray]) -> float | None:
+    """How far the truth is off, across the surface, at the pixels that photographs judge; ``truth`` is its depth in
+    each of ``images``. Where a camera sees no truth it is infinitely far."""
+    seen = images.seen(mesh)
+    off = [np.empty(0)]
+    for (first, _), found in zip(images.pairs, images.residuals(mesh, seen), strict=True):
+        rows, columns = found.places.T
+        off.append(np.abs(truth[first][rows, columns] - seen[first].pixels.depth[rows, columns]) * found.facing)
+    all_of_them = np.concatenate(off)
+    # Not the mean of two of them, of which one may be infinite.
+    return float(np.percentile(all_of_them, DEPTH_ERROR_PERCENTILE, method="lower")) if len(all_of_them) else None
 
 
 # -- meshes that are wrong in known ways -----------------------------------------------------------------------------
@@ -275,14 +291,17 @@ def fewer(mesh: Mesh, faces: int) -> Mesh:
 
 def pits_and_relief(
     truth: Mesh, radius: float, scene: Scene, center: np.ndarray, pairs: int, pixels: int
-) -> tuple[float | None, float | None]:
-    """``plain_roughness`` of a pitted mesh, by the photographs of the smooth truth and by those that show the pits."""
+) -> tuple[float | None, float | None, float | None]:
+    """``plain_roughness`` of a pitted mesh, by the photographs of the smooth truth and by those that show the pits; the
+    truth's own ``roughness``, which is in both."""
     normals = vertex_normals(truth.vertices, truth.faces)
     pitted = Mesh(vertices=truth.vertices - pits(truth, radius, 1.0)[:, None] * normals, faces=truth.faces)
     shown = [with_relief(view, truth, pitted) for view in scene.train]
-    both = [PosedImages(each, center, pairs_at_most=pairs, pixels_at_most=pixels) for each in (scene.train, shown)]
-    found = [images.measure(pitted).plain_roughness for images in both]
-    return found[0], found[1]
+    smooth, relief = (
+        PosedImages(each, center, pairs_at_most=pairs, pixels_at_most=pixels) for each in (scene.train, shown)
+    )
+    by_smooth, by_relief = (images.measure(pitted).plain_roughness for images in (smooth, relief))
+    return by_smooth, by_relief, smooth.measure(truth).roughness
 
 
 def with_relief(view: View, smooth: Mesh, relief: Mesh) -> View:
@@ -317,38 +336,45 @@ def read_rows(path: Path) -> list[Mapping[str, str]]:
 
 
 def drawn(rows: Sequence[Mapping[str, str]]) -> Drawing:
-    """A dot for each mesh, in a colour for each kind; a dashed line for what the truth of a capture leaves."""
+    """A dot for each mesh, in a colour for each kind; a dashed line for what the truth of a capture leaves.
+
+    The axes are logarithmic: what is told as no error at all is drawn as the least there is.
+    """
     series = [
         Series(
             name=row["kind"],
-            points=[(float(row["error"]), float(row["residual_depth_p90"]))],
+            points=[(float(row["error"]), float(row["depth_error"]))],
             style="level" if row["kind"] == TRUTH else "mark",
         )
         for row in complete(rows)
     ]
     colors = {**series_colors([line for line in series if line.name != TRUTH]), TRUTH: "#999999"}
     title = f"{len(series)} meshes of {len({row['capture'] for row in rows})} captures"
-    x = Axis(label="distance to the truth where it is seen, 1e-2 radius (log)", log=True)
-    y = Axis(label="residual depth, 90th percentile, 1e-2 radius (log)", log=True)
+    x = Axis(label="true depth error where it is judged, 1e-2 radius (log)", log=True)
+    y = Axis(label="depth error by the photographs alone, 1e-2 radius (log)", log=True)
     return line_drawing(title, series, x, y, colors=colors, legend=True)
 
 
 def summary(rows: Sequence[Mapping[str, str]]) -> list[str]:
     """Rank correlations: over everything, by capture, and of other readings of the residual."""
     known = complete(rows)
-    out = [f"{name}: {correlation(known, name):.3f} over {len(known)} meshes" for name in READINGS]
+    out = [
+        f"{name}: {correlation(known, name):.3f}, with the mean distance {correlation(known, name, 'distance'):.3f}"
+        for name in READINGS
+    ]
     for capture in dict.fromkeys(row["capture"] for row in known):
         own = [row for row in known if row["capture"] == capture]
-        out.append(f"residual_depth_p90, {capture}: {correlation(own, 'residual_depth_p90'):.3f} over {len(own)}")
-    return out
+        told = [correlation(own, "depth_error", truth) for truth in ("error", "distance")]
+        out.append(f"depth_error, {capture}: {told[0]:.3f} over {len(own)}, with the mean distance {told[1]:.3f}")
+    return [f"{len(known)} meshes", *out]
 
 
 def complete(rows: Sequence[Mapping[str, str]]) -> list[Mapping[str, str]]:
-    return [row for row in rows if row["error"] and row["residual_depth"]]
+    return [row for row in rows if row["error"] and row["distance"] and row["depth_error"]]
 
 
-def correlation(rows: Sequence[Mapping[str, str]], name: str) -> float:
-    pairs = np.array([(float(row["error"]), float(row[name])) for row in rows])
+def correlation(rows: Sequence[Mapping[str, str]], name: str, truth: str = "error") -> float:
+    pairs = np.array([(float(row[truth]), float(row[name])) for row in rows])
     return float(spearmanr(pairs[:, 0], pairs[:, 1]).statistic)
 
 

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 
 from sculpt_framework.evaluation.image_pairs import choose_pairs, prepare
 from sculpt_framework.evaluation.mesh import Mesh
-from sculpt_framework.evaluation.residual import STRIDE, SeenMesh, residuals
+from sculpt_framework.evaluation.residual import STRIDE, Residuals, SeenMesh, residuals
 from sculpt_framework.evaluation.roughness import FACING, Unevenness, pixels_of, unevenness
 from sculpt_framework.export.mesh_pixels import cosines, draw_mesh, visibility_slack
 from sculpt_framework.threads import in_threads
@@ -32,8 +32,10 @@ class Consistency:
     residual_depth: float | None
     """Median of how far the surface is off across itself, by the displacement along epipolar lines; scene units."""
     residual_depth_p90: float | None
-    """Its 90th percentile, which errors in a part of the surface move too: of the depth errors the one that ranks
-    meshes best."""
+    """Its 90th percentile, which errors in a part of the surface move too."""
+    depth_error: float | None
+    """Its 75th percentile, less what is left across epipolar lines, in quadrature: what cameras, noise and gloss leave
+    of a true mesh too. Never below zero, scene units. Of all these the one that ranks meshes best."""
     judged: float
     """Share of the pixels of the masks, over all pairs, that have texture and that the mesh shows to both cameras."""
     pairs: int
@@ -53,11 +55,14 @@ CURVE_PAIRS, CURVE_PIXELS = 12, 150_000
 """Neighbouring views that a surface is judged by while it is trained, and pixels in each."""
 EVALUATION_PIXELS = 1_000_000
 """Of a photograph that a finished mesh is held against: finer ones take their time, and surfaces are not that exact."""
+DEPTH_ERROR_PERCENTILE = 75
+"""Half-way between the median, which an error in a part leaves alone, and what outliers move."""
 _NOTHING = Consistency(
     residual_px=None,
     residual_p90_px=None,
     residual_depth=None,
     residual_depth_p90=None,
+    depth_error=None,
     judged=0.0,
     pairs=0,
     roughness=None,
@@ -94,12 +99,11 @@ class PosedImages:
         if not mesh.areas.sum() > 0 or not self.images:
             return replace(_NOTHING, pairs=len(self.pairs))
         slack = visibility_slack(mesh.vertices)
-        seen = in_threads(
-            lambda image: SeenMesh(image=image, pixels=draw_mesh(mesh.vertices, mesh.faces, image.camera)), self.images
-        )
-        found = in_threads(lambda pair: residuals(mesh, seen[pair[0]], seen[pair[1]], slack), self.pairs)
+        seen = self.seen(mesh)
+        found = self.residuals(mesh, seen)
         pixels = np.concatenate([np.empty(0), *(each.pixels for each in found)])
         depths = np.concatenate([np.empty(0), *(each.depths for each in found)])
+        beside = np.concatenate([np.empty(0), *(each.beside for each in found)])
         whole = sum(int(self.images[first].mask[::STRIDE, ::STRIDE].sum()) for first, _ in self.pairs)
         uneven = unevenness(mesh)
         known, plain = _places(uneven, seen, slack)
@@ -108,12 +112,24 @@ class PosedImages:
             residual_p90_px=float(np.percentile(pixels, 90)) if len(pixels) else None,
             residual_depth=float(np.median(depths)) if len(depths) else None,
             residual_depth_p90=float(np.percentile(depths, 90)) if len(depths) else None,
+            depth_error=_without(depths, beside) if len(depths) else None,
             judged=len(pixels) / whole if whole else 0.0,
             pairs=len(self.pairs),
             roughness=uneven.mean(known),
             plain_roughness=uneven.mean(plain),
             plain=float(plain.sum() / known.sum()) if known.any() else None,
         )
+
+    def seen(self, mesh: Mesh) -> list[SeenMesh]:
+        """The mesh, world frame, as the cameras of ``images`` see it."""
+        return in_threads(
+            lambda image: SeenMesh(image=image, pixels=draw_mesh(mesh.vertices, mesh.faces, image.camera)), self.images
+        )
+
+    def residuals(self, mesh: Mesh, seen: Sequence[SeenMesh]) -> list[Residuals]:
+        """What is left in each pair, pixel by pixel."""
+        slack = visibility_slack(mesh.vertices)
+        return in_threads(lambda pair: residuals(mesh, seen[pair[0]], seen[pair[1]], slack), self.pairs)
 
 
 def consistency(
@@ -126,6 +142,12 @@ def consistency(
     corners = mesh.corners.reshape(-1, 3)
     center = 0.5 * (corners.min(axis=0) + corners.max(axis=0)) if len(corners) else np.zeros(3)
     return PosedImages(views, center, pairs_at_most=pairs_at_most, pixels_at_most=pixels_at_most).measure(mesh)
+
+
+def _without(depths: Float[np.ndarray, " m"], beside: Float[np.ndarray, " m"]) -> float:
+    """A high percentile of what is left along epipolar lines, but for what the same one across them explains."""
+    along, across = (float(np.percentile(each, DEPTH_ERROR_PERCENTILE)) for each in (depths, beside))
+    return max(0.0, along**2 - across**2) ** 0.5
 
 
 def _places(

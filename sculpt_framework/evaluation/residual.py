@@ -32,7 +32,14 @@ class Residuals:
     pixels: Float32[np.ndarray, " n"]
     """Length of the displacement left, in pixels of the first view as it was given, for every pixel that is judged."""
     depths: Float64[np.ndarray, " m"]
-    """How far the surface is off across itself, scene units, where the displacement leads to a place on the surface."""
+    """How far the surface is off across itself, scene units, where the displacement leads to a place on the surface:
+    by what is left along epipolar lines."""
+    beside: Float64[np.ndarray, " m"]
+    """What the displacement across epipolar lines would come to. No depth explains it: cameras, noise and gloss do."""
+    places: Int64[np.ndarray, "m 2"]
+    """Rows and columns of these pixels, of the first image as it was prepared."""
+    facing: Float64[np.ndarray, " m"]
+    """What a unit of camera z is across the surface there."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -66,10 +73,17 @@ def residuals(mesh: Mesh, first: SeenMesh, second: SeenMesh, slack: float) -> Re
     judged = (np.asarray(kept) > 0) & here.textured & (warp.state == kernels.SEEN)
     rows, columns = (STRIDE * index for index in np.nonzero(judged[::STRIDE, ::STRIDE]))
     facing = _facing(mesh, here, rows, columns, first.pixels.face[rows, columns])
-    depths = np.empty(len(rows))
+    depths = np.empty((len(rows), 2))
     kernels.distances(rows, columns, flow, warp.places, warp.slopes, warp.state, facing, depths)
     lengths = np.linalg.norm(flow[rows, columns], axis=1).astype(np.float32)
-    return Residuals(pixels=lengths / np.float32(here.scale), depths=depths[np.isfinite(depths)])
+    known = np.isfinite(depths[:, 0])
+    return Residuals(
+        pixels=lengths / np.float32(here.scale),
+        depths=depths[known, 0],
+        beside=depths[known, 1],
+        places=np.stack([rows, columns], axis=1)[known],
+        facing=facing[known],
+    )
 
 
 def _project(first: SeenMesh, second: SeenMesh, slack: float) -> _Warp:

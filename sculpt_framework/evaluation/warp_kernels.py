@@ -48,12 +48,13 @@ def project(depth, lens, rotation, shift, other, farthest, slack, places, slopes
 def distances(rows, columns, flow, places, slopes, state, facing, out):
     """How far the surface is off at some pixels, across itself, from the displacement left there.
 
-    ``facing`` (n) is by how much the surface goes away per unit of camera z: |normal . (x, y, 1)|. NaN where the flow
-    leads to where there is no surface.
+    ``facing`` (n) is by how much the surface goes away per unit of camera z: |normal . (x, y, 1)|. Filled in: ``out``
+    (n, 2), from what is left along epipolar lines, and what the same length across them, which no depth explains,
+    would come to. NaN where the flow leads to where there is no surface.
     """
     height, width = state.shape
     for k in range(rows.shape[0]):
-        out[k] = np.nan
+        out[k] = np.nan, np.nan
         row, column = rows[k], columns[k]
         y, x = row + flow[row, column, 1], column + flow[row, column, 0]
         if not (x >= 0 and y >= 0 and x < width - 1 and y < height - 1):
@@ -62,12 +63,14 @@ def distances(rows, columns, flow, places, slopes, state, facing, out):
         if min(state[r, c], state[r, c + 1], state[r + 1, c], state[r + 1, c + 1]) == 0:
             continue
         b, a = y - r, x - c
-        along, square = 0.0, 0.0
+        along, across, square = 0.0, 0.0, 0.0
         for axis in range(2):
             there = (1 - b) * ((1 - a) * places[r, c, axis] + a * places[r, c + 1, axis])
             there += b * ((1 - a) * places[r + 1, c, axis] + a * places[r + 1, c + 1, axis])
-            slope = slopes[row, column, axis]
-            along += (there - places[row, column, axis]) * slope
+            left = there - places[row, column, axis]
+            slope, other = slopes[row, column, axis], slopes[row, column, 1 - axis]
+            along += left * slope
+            across += left * (other if axis == 1 else -other)
             square += slope * slope
         if square > 0:
-            out[k] = abs(along) / square * facing[k]
+            out[k] = abs(along) / square * facing[k], abs(across) / square * facing[k]

@@ -26,7 +26,7 @@ from sculpt_framework.export.json_text import json_text
 from sculpt_framework.types import Scene
 
 FOLDER = "measures"
-_SCHEMA = 3
+_SCHEMA = 4
 """Of the figures that are kept; those of another are measured anew."""
 _SAMPLES = 200_000
 _SEEING = 3

@@ -39,6 +39,7 @@ MEASURED = (
     "residual_p90_px",
     "residual_depth",
     "residual_depth_p90",
+    "depth_error",
     "judged",
     "pairs",
     "roughness",

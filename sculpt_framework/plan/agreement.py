@@ -94,7 +94,7 @@ def light(config: SculptingConfig, evidence: Evidence) -> Ruling:
         value = "the surface learns from colours and from agreement between views"
         return Ruling(config=config, value=value, evidence=why, measured=measured)
     return Ruling(
-        config=_by_agreement(config),
+        config=by_agreement(config),
         value="the surface learns from agreement between views, not from colours",
         evidence=why,
         measured=measured,
@@ -103,7 +103,7 @@ def light(config: SculptingConfig, evidence: Evidence) -> Ruling:
     )
 
 
-def _by_agreement(config: SculptingConfig) -> SculptingConfig:
+def by_agreement(config: SculptingConfig) -> SculptingConfig:
     """Colours follow the surface instead of teaching it, and what says nothing is smoothed."""
     terms: list[LossConfig] = []
     for each in config.losses:

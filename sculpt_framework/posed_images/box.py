@@ -97,7 +97,7 @@ def fit_box(views: Sequence[View], clues: Clues = NO_CLUES) -> FoundBox:
         if limit is not None:
             remark = f"; {limit.name} is not used: it holds no place inside the masks"
         shown = 0 if whole else math.ceil(_MAJORITY * len(outlines))
-        limit, found = None, _around(outlines, masked, Rule(allowed=0, shown=shown))
+        limit, found = None, bounds_around(outlines, masked, Rule(allowed=0, shown=shown))
     margin = _MARGIN * (found.high - found.low).max()
     box = Box.between(found.low - margin, found.high + margin)
     bounded = _bounded_otherwise(outlines, found, limit, whole)
@@ -178,7 +178,7 @@ def _within_limit(outlines: Sequence[Outline], masked: int, limit: _Limit, whole
     """The bounds of the hull inside the limit; None if it is empty there."""
     low, high = limit.low, limit.high
     if whole:
-        hull = _around(outlines, masked, Rule(allowed=0))
+        hull = bounds_around(outlines, masked, Rule(allowed=0))
         if limit.holds(hull):
             return hull
         low, high = np.maximum(low, hull.low), np.minimum(high, hull.high)
@@ -191,7 +191,7 @@ def _within_limit(outlines: Sequence[Outline], masked: int, limit: _Limit, whole
     return None
 
 
-def _around(outlines: Sequence[Outline], masked: int, rule: Rule) -> _Bounds:
+def bounds_around(outlines: Sequence[Outline], masked: int, rule: Rule) -> _Bounds:
     """The bounds of the hull around the point the views look at, in as much space as it takes up.
 
     Raises DataError if it is empty.

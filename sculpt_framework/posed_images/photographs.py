@@ -13,6 +13,7 @@ from sculpt_framework.posed_images.box import FoundBox, box_in_words, fit_box
 from sculpt_framework.posed_images.clues import Clues, points_bounds
 from sculpt_framework.posed_images.mask_polarity import white_on_object
 from sculpt_framework.posed_images.options import PhotographsConfig
+from sculpt_framework.posed_images.outvoted import without_outvoted
 from sculpt_framework.posed_images.projected_box import box_outline
 from sculpt_framework.posed_images.views import PosedImage, load_views
 from sculpt_framework.threads import in_threads
@@ -66,10 +67,15 @@ def load_photographs(
         views, held_out, found, up = _with_masks(views, held_out, seed, sure, options)
         said += [f"the object is looked for in {how}.", *found]
     bounds = FoundBox(box=given, said="box as given.", cuts=True) if given is not None else _find_box(views, clues)
-    if bounds.cuts:
-        views, held_out = _showing(_cut_to(bounds.box, views)), _cut_to(bounds.box, held_out)
-        if not views:
-            raise DataError(f"no train image shows any of the object inside the {bounds.said}")
+    agreeing, outvoted = without_outvoted(_cut_to(bounds, views), bounds.box)
+    if len(agreeing) < len(views):
+        names = {view.name for view in agreeing}
+        views = [view for view in views if view.name in names]
+        bounds = bounds if given is not None else _find_box(views, clues)
+    said += outvoted
+    views, held_out = _showing(_cut_to(bounds, views)), _cut_to(bounds, held_out)
+    if not views:
+        raise DataError(f"no train image shows any of the object inside the {bounds.said}")
     return Scene(
         name=name,
         train=tuple(views),
@@ -130,13 +136,14 @@ def _find_box(views: Sequence[View], clues: Clues) -> FoundBox:
     return FoundBox(box=box, said=said, cuts=True)
 
 
-def _cut_to(box: Box, views: Sequence[View]) -> list[View]:
-    """The views with masks that leave out what no surface in the box covers: the object beyond it is background."""
+def _cut_to(bounds: FoundBox, views: Sequence[View]) -> list[View]:
+    """The views with masks that leave out what no surface in the box covers, where the box cuts the object: what lies
+    beyond it is background."""
 
     def cut(view: View) -> View:
-        if view.alpha is None:
+        if view.alpha is None or not bounds.cuts:
             return view
-        return replace(view, alpha=view.alpha * torch.from_numpy(box_outline(view.camera, box)))
+        return replace(view, alpha=view.alpha * torch.from_numpy(box_outline(view.camera, bounds.box)))
 
     return in_threads(cut, views)
 

@@ -9,15 +9,20 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from sculpt_framework import registry
 from sculpt_framework.demo_scenes.cameras import demo_cameras
 from sculpt_framework.demo_scenes.distance import Points, Values, box, capsule, smooth_difference, sphere
 from sculpt_framework.demo_scenes.objects import DemoObject, demo_object
 from sculpt_framework.errors import SculptError, TrainingFailed
+from sculpt_framework.plan.agreement import by_agreement
+from sculpt_framework.posed_images.outvoted import without_outvoted
 from sculpt_framework.sculpting.config import SculptingConfig
 from sculpt_framework.stress.cases import Case, Measured
-from sculpt_framework.stress.small import PIXELS, VIEWS, chamfer, scene_of, small_method, train, truth_of
+from sculpt_framework.stress.small import PIXELS, VIEWS, chamfer, scene_of, small_method, train, truth_of, view_of
 from sculpt_framework.types import Box, Camera, Scene, View
 
+_LIT_PIXELS = 96
+"""Of images in which windows of seven pixels are compared."""
 _LOST = 50.0
 """Chamfer distance, 1e-2 units, at which a result has nothing to do with an object of about one unit."""
 
@@ -41,7 +46,7 @@ class Extreme:
 
 
 def scene_cases() -> Iterator[Case]:
-    for extreme in (*_few_views(), *_poses(), *_masks(), *_colours(), *_shapes(), _large_images()):
+    for extreme in (*_few_views(), *_poses(), *_masks(), *_colours(), *_lights(), *_shapes(), _large_images()):
         yield Case(
             id=f"scene-{extreme.name}",
             group="scenes",
@@ -103,7 +108,7 @@ def _poses() -> Iterator[Extreme]:
 
 def _masks() -> Iterator[Extreme]:
     yield _spoilt("masks-holes", "a hole of 8 x 8 pixels in the middle of every mask", _hole, _LOST, may_refuse=True)
-    yield _spoilt("mask-one-wrong", "one mask shows another object", _other_mask, _LOST)
+    yield _spoilt("mask-one-wrong", "one mask shows another object", _other_mask, 3.0)
     yield _spoilt("mask-one-empty", "one mask is empty", partial(_set_mask, 0.0, (4,)), _LOST, may_refuse=True)
     yield _spoilt("masks-all-empty", "all masks are empty", partial(_set_mask, 0.0, None), _LOST, may_refuse=True)
     yield _spoilt("masks-all-full", "all masks cover the whole image", partial(_set_mask, 1.0, None), math.inf)
@@ -139,8 +144,10 @@ def _scene(item: DemoObject, cameras: tuple[Camera, ...]) -> Scene:
 
 
 def _spoilt_scene(spoil: Spoil) -> Scene:
+    """With the views that a dataset would keep."""
     scene = _plain()
-    return replace(scene, train=tuple(spoil(index, view) for index, view in enumerate(scene.train)))
+    kept, _ = without_outvoted([spoil(index, view) for index, view in enumerate(scene.train)], scene.box)
+    return replace(scene, train=tuple(kept))
 
 
 def _turned_view(degrees: float, which: tuple[int, ...], index: int, view: View) -> View:
@@ -201,6 +208,65 @@ def _mirrored(rgb: Tensor, index: int) -> Tensor:
 def _checkered(rgb: Tensor, index: int) -> Tensor:
     rows, columns = torch.arange(rgb.shape[0])[:, None], torch.arange(rgb.shape[1])[None]
     return ((rows + columns) % 2).to(rgb)[..., None].expand_as(rgb).contiguous()
+
+
+# ---------------------------------------------------------------------------------------------------------------- light
+
+
+def _lights() -> Iterator[Extreme]:
+    """By agreement between photographs, which is what surfaces learn from where light differs."""
+    blob = demo_object("blob")
+    whole = tuple(demo_cameras(VIEWS, _LIT_PIXELS))
+    for name, done, paint in (
+        ("even", "as it is, for comparison", lambda rgb, index: rgb),
+        ("black-and-white", "black and white images", lambda rgb, index: rgb.mean(dim=2, keepdim=True).expand_as(rgb)),
+        ("exposures", "every second image four times as bright as the others, clipped", _exposed),
+        ("moving-shadow", "a shadow over half of every third image, another half in each", _shaded),
+        ("identical", "the same picture in all views, in their own masks", _first_picture),
+    ):
+        yield Extreme(
+            name=f"light-{name}",
+            done=f"by agreement: {done}",
+            make=partial(_lit_scene, whole, paint),
+            item=blob,
+            limit=10.0,
+            method=_agreeing,
+        )
+    yield Extreme(
+        name="light-one-view",
+        done="by agreement: one view, which has nothing to agree with",
+        make=partial(_lit_scene, whole[:1], lambda rgb, index: rgb),
+        item=blob,
+        limit=_LOST,
+        method=_agreeing,
+    )
+
+
+def _agreeing() -> SculptingConfig:
+    config = small_method()
+    parts = (*config.losses, registry.default("losses", "consistency"))
+    return by_agreement(replace(config, losses=parts))  # pyright: ignore[reportArgumentType]
+
+
+def _lit_scene(cameras: tuple[Camera, ...], paint: Callable[[Tensor, int], Tensor]) -> Scene:
+    scene = _scene(demo_object("blob"), cameras)
+    return replace(scene, train=tuple(_painted(paint, index, view) for index, view in enumerate(scene.train)))
+
+
+def _exposed(rgb: Tensor, index: int) -> Tensor:
+    return ((2.0 if index % 2 else 0.5) * rgb).clamp(max=1.0)
+
+
+def _shaded(rgb: Tensor, index: int) -> Tensor:
+    if index % 3:
+        return rgb
+    columns, rows = torch.linspace(-1, 1, rgb.shape[1]), torch.linspace(-1, 1, rgb.shape[0])[:, None]
+    across = columns * math.cos(index) + rows * math.sin(index)
+    return rgb * (0.7 - 0.3 * torch.tanh(20 * across))[..., None].to(rgb)
+
+
+def _first_picture(rgb: Tensor, index: int) -> Tensor:
+    return view_of(demo_object("blob"), demo_cameras(VIEWS, _LIT_PIXELS)[0], "first").rgb
 
 
 # --------------------------------------------------------------------------------------------------------------- shapes

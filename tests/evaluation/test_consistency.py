@@ -40,6 +40,7 @@ def test_the_true_mesh_leaves_next_to_nothing(true: Consistency):
     assert known(true.residual_px) < 0.1
     assert known(true.residual_p90_px) < 0.25
     assert known(true.residual_depth) < 0.003 * RADIUS
+    assert known(true.depth_error) < 0.003 * RADIUS
     assert true.judged > 0.7
     assert true.pairs == 4
 
@@ -49,6 +50,7 @@ def test_a_mesh_of_another_size_is_off_by_so_much(images: PosedImages, true: Con
     found = images.measure(ball(radius=RADIUS * (1 + percent / 100)))
     assert known(found.residual_depth) == pytest.approx(abs(percent) / 100 * RADIUS, rel=0.2)
     assert known(found.residual_depth_p90) == pytest.approx(abs(percent) / 100 * RADIUS, rel=0.35)
+    assert known(found.depth_error) == pytest.approx(abs(percent) / 100 * RADIUS, rel=0.25)
     assert known(found.residual_px) > 2 * known(true.residual_px)
 
 
@@ -67,6 +69,19 @@ def test_a_mesh_that_is_moved_away_is_off_by_its_share_across_the_surface(views:
     way = 0.02 * RADIUS * way / np.linalg.norm(way)
     found = consistency(moved(mesh, mesh.vertices + way), views)
     assert 0.6 * 0.02 * RADIUS < known(found.residual_depth) < 0.02 * RADIUS
+
+
+def test_wrong_cameras_are_not_taken_for_a_wrong_mesh(views: list[View], true: Consistency):
+    """Principal points are off by about a pixel: images move every way, and no depth explains half of that."""
+    generator = np.random.default_rng(3)
+
+    def off(view: View) -> View:
+        camera, pixels = view.camera, generator.normal(size=2)
+        return replace(view, camera=replace(camera, cx=camera.cx + pixels[0], cy=camera.cy + pixels[1]))
+
+    found = PosedImages([off(view) for view in views], ORIGIN).measure(ball())
+    assert known(found.residual_px) > 5 * known(true.residual_px)
+    assert known(found.depth_error) < 0.3 * known(found.residual_depth)
 
 
 def test_gain_and_offset_of_an_image_change_nothing(views: list[View], true: Consistency):
@@ -120,7 +135,7 @@ def test_one_view_tells_nothing_but_roughness(views: list[View]):
         found = consistency(ball(), few)
         assert found.pairs == 0
         assert found.judged == 0
-        assert found.residual_px is found.residual_p90_px is found.residual_depth is None
+        assert found.residual_px is found.residual_p90_px is found.residual_depth is found.depth_error is None
         assert (found.roughness is None) == (not few)
 
 

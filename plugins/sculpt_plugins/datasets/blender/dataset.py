@@ -4,6 +4,7 @@ from sculpt_framework.datasets import Dataset
 from sculpt_framework.posed_images.box import fit_box
 from sculpt_framework.posed_images.folders import scene_folder
 from sculpt_framework.posed_images.mask_polarity import white_on_object
+from sculpt_framework.posed_images.outvoted import without_outvoted
 from sculpt_framework.posed_images.transforms import Frame, posed_images, with_masks
 from sculpt_framework.posed_images.views import load_views
 from sculpt_framework.types import Scene
@@ -23,18 +24,19 @@ class BlenderDataset(Dataset):
         (train, test), mask_notes = self._masked(train, test)
         posed, test_posed, turned = white_on_object(posed_images(train), posed_images(test), "auto")
         loaded = load_views(posed, test_posed, self.config.background, downscale=self.config.downscale)
-        bounds = fit_box(loaded.train)
-        if len(loaded.train) <= 2:
-            count = "one view" if len(loaded.train) == 1 else "two views"
+        learned, outvoted = without_outvoted(loaded.train, fit_box(loaded.train).box)
+        bounds = fit_box(learned)
+        if len(learned) <= 2:
+            count = "one view" if len(learned) == 1 else "two views"
             notes.append(f"only {count} to learn from: what they do not show is made up.")
         reference = self.folder / "gt_mesh.ply"
         return Scene(
             name=self.folder.resolve().name,
-            train=loaded.train,
+            train=tuple(learned),
             test=loaded.test,
             box=bounds.box,
             reference_mesh=reference if reference.is_file() else None,
-            notes=(*notes, *test_notes, *mask_notes, *turned, *loaded.notes, bounds.said),
+            notes=(*notes, *test_notes, *mask_notes, *turned, *loaded.notes, *outvoted, bounds.said),
         )
 
     def _masked(self, train: list[Frame], test: list[Frame]) -> tuple[tuple[list[Frame], list[Frame]], list[str]]:

@@ -9,7 +9,8 @@ and what a run starts from (visual hull, photo hull) and has after ``--seconds``
 that were judged.
 Lengths are in hundredths of half the longest side of the truth. Spearman's rank correlation over all meshes of all
 captures is printed, also by capture, for other readings of the residual, and with ``distance``, the mean distance to
-the truth over all that the cameras see; OUT/trust.png shows each mesh.
+the truth over all that the cameras see; OUT/trust.png shows each mesh. ``normals`` is the mean angle to those of the
+truth.
 OUT/trust.csv keeps what is measured; a mesh that is in it is not made again.
 
 Of pits three cells of 128 wide it is asked what ``plain_roughness`` says where the photographs are of the smooth truth,
@@ -59,7 +60,7 @@ SAMPLES = 50_000
 LAMP = np.array([0.36, -0.48, 0.8])
 LENGTHS = ("depth_error", "residual_depth", "residual_depth_p90")
 READINGS = (*LENGTHS, "residual_px", "residual_p90_px")
-COLUMNS = ("capture", "kind", "mesh", "error", "distance", *READINGS, "judged")
+COLUMNS = ("capture", "kind", "mesh", "error", "distance", *READINGS, "judged", "normals")
 TRUTH = "truth"
 Spoilt = Iterator[tuple[str, str, Callable[[], Mesh]]]
 """Kinds, names, and how to make them."""
@@ -107,10 +108,10 @@ def measure_capture(folder: Path, out: Path, pairs: int, pixels: int, seconds: f
             continue
         found = images.measure(mesh)
         error = depth_error(mesh, images, depths)
-        distance = visible_distances(mesh, reference, seen, observed=observed).point_to_surface
-        lengths = [error, distance, *(getattr(found, each) for each in LENGTHS)]
+        known_truth = visible_distances(mesh, reference, seen, observed=observed)
+        lengths = [error, known_truth.point_to_surface, *(getattr(found, each) for each in LENGTHS)]
         lengths = [None if x is None else 100 * x / radius for x in lengths]
-        values = [*lengths, found.residual_px, found.residual_p90_px, found.judged]
+        values = [*lengths, found.residual_px, found.residual_p90_px, found.judged, known_truth.normal_error]
         append_row(out / "trust.csv", [folder.name, kind, name, *values])
         sys.stdout.write(f"{folder.name} {name}: error {lengths[0]}, by photographs {lengths[2]}\n")
         sys.stdout.flush()
@@ -168,7 +169,7 @@ def spoilt(truth: Mesh, coarse: Mesh, radius: float) -> Spoilt:
         yield "scaled", f"scaled-{percent}", lambda vertices=vertices: Mesh(vertices=vertices, faces=truth.faces)
     for rounds in (10, 60, 300):
         yield "smoothed", f"smoothed-{rounds}", lambda rounds=rounds: smoothed(truth, rounds)
-    for cells in (2, 5):
+    for cells in (0.5, 2, 5):
         yield "low-passed", f"low-passed-{cells}c", lambda cells=cells: low_passed(truth, cells)
     for faces in (6000, 1500, 400):
         yield "smoothed", f"decimated-{faces}", lambda faces=faces: fewer(coarse, faces)

@@ -30,13 +30,14 @@ class AblateRequest:
     """Seeds, one run of each setting for each. From three on the tables have intervals."""
     method: str = "gaussian-sculpting"
     """The method that parts are left out of."""
-    factors: tuple[Literal["constraints", "field", "isolation", "start"], ...] = (
+    factors: tuple[Literal["constraints", "field", "isolation", "start", "evidence"], ...] = (
         "constraints",
         "field",
         "isolation",
         "start",
     )
-    """What is varied: Table 3; neural or discrete SDF; gradient isolation; warm or cold start of the inner loop."""
+    """What is varied: Table 3; neural or discrete SDF; gradient isolation; warm or cold start of the inner loop; and,
+    on photographs, what the surface starts and learns from."""
     plan: Flag = False
     """Compare the method planned for each scene with everything on (docs/plan.md), in place of any factor. As many
     steps as the method says, unless --budget is given."""
@@ -69,7 +70,7 @@ def ablate(words: Sequence[str]) -> None:
     request = tyro.cli(AblateRequest, args=own, prog=PROGRAM)
     amounts = check_request(request)
 
-    from sculpt_framework.experiments.ablation import ablation
+    from sculpt_framework.experiments.ablation import EVIDENCE, ablation
     from sculpt_framework.experiments.ablation_tables import ablation_tables, notes
     from sculpt_framework.experiments.carry_out import carry_out
     from sculpt_framework.experiments.plan import Budget, check_extra, cross, planned_scenes
@@ -80,8 +81,9 @@ def ablate(words: Sequence[str]) -> None:
     if request.plan:
         _check_plan(request, amounts, extra, words)
         return
-    # What is varied is the method, whatever a scene needs of it.
-    extra = ["--plan", "off", *extra] if PLAN not in (word.partition("=")[0] for word in extra) else extra
+    # What is varied is the method, whatever a scene needs of it; but for what the plan itself decides.
+    if EVIDENCE not in request.factors and PLAN not in (word.partition("=")[0] for word in extra):
+        extra = ["--plan", "off", *extra]
     made = ablation(request.method, scenes[0], extra, factors=request.factors, full=request.full)
     budgets = [Budget(kind=kind, amount=amount) for kind, amount in amounts.items()]
     title = f"Ablation of {request.method}"

@@ -9,6 +9,14 @@ from dataclasses import dataclass
 
 from sculpt_framework import registry
 from sculpt_framework.experiments.plan import PlannedScene, Setting, config_of
+from sculpt_framework.plan.agreement import (
+    AGREEING_VIEWS,
+    CONSISTENCY,
+    FIRST_STEPS,
+    FOLLOWING_STEPS,
+    OUTLINE_VIEWS,
+    PHOTOMETRIC,
+)
 from sculpt_framework.sculpting.config import SculptingConfig, of_sculpting
 
 SCALE = frozenset({"mee-scale"})
@@ -20,6 +28,9 @@ SCALE_OFF = frozenset({"no-scale", "only-opacity", "none"})
 DISTRIBUTION_OFF = frozenset({"no-distribution", "only-opacity", "none"})
 """Levels of the factor "constraints" at which each of the three is off."""
 FACTORS = ("constraints", "field", "isolation", "start")
+"""The paper's ablations."""
+EVIDENCE = "evidence"
+"""What the surface starts and learns from, where a plan decides it by the photographs (docs/plan.md)."""
 DEFAULT = "default"
 """The setting that changes nothing."""
 
@@ -84,7 +95,7 @@ def ablation(method: str, scene: PlannedScene, extra: Sequence[str], *, factors:
 
 def _axes(config: SculptingConfig) -> list[list[Level]]:
     """The levels of each factor, the method's own first."""
-    return [_constraints(config), _field(config), _isolation(config), _start(config)]
+    return [_constraints(config), _field(config), _isolation(config), _start(config), _evidence(config)]
 
 
 def _setting(method: str, combination: Sequence[Level], own: Sequence[Level]) -> Setting:
@@ -148,3 +159,29 @@ def _start(config: SculptingConfig) -> list[Level]:
         Level(factor="start", name="cold-start", words=("--trainer.no-warm-start",)),
     ]
     return rows if config.trainer.warm_start else rows[::-1]
+
+
+def _evidence(config: SculptingConfig) -> list[Level]:
+    """As planned; without agreement between photographs, with colours beside it, without what smooths plain places;
+    from depths by equal colours and from the visual hull alone; and the paper's own loss and start."""
+    names = [registry.name_of(loss) for loss in config.losses]
+    colours = ("--losses", *(name for name in names if name != CONSISTENCY))
+    agreement = ("--losses", *(name for name in names if name != PHOTOMETRIC), "--losses.consistency.views")
+    following = ("--trainer.warm-up-steps", str(FIRST_STEPS), "--trainer.stages.0.inner-steps", str(FOLLOWING_STEPS))
+    hull = ("--initializer", "visual-hull")
+    rows: dict[str, tuple[str, ...]] = {
+        "planned": (),
+        "no-agreement": colours,
+        "with-colours": ("--plan.light", "off"),
+        "no-bending": (
+            *agreement,
+            str(AGREEING_VIEWS),
+            *following,
+            "--trainer.stages.0.outer-views",
+            str(OUTLINE_VIEWS),
+        ),
+        "no-stereo": ("--plan.stereo", "off"),
+        "from-hull": ("--plan.stereo", "off", *hull),
+        "paper-loss": ("--plan.stereo", "off", *hull, *colours),
+    }
+    return [Level(factor=EVIDENCE, name=name, words=words) for name, words in rows.items()]

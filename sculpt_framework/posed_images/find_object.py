@@ -33,10 +33,10 @@ _PIXELS = 128
 _VIEWS = 48
 """That are compared at most, spread evenly."""
 _NEIGHBOURS, _AGREEING = 8, 2
-_SPACE_CELLS, _CELLS = 64, 112
+_SPACE_CELLS, _CELLS = 64, 160
 """Cells along the space of all depths, and along the box with some more around it in which the object is."""
 _MORE = 1.2
-_CLEAR = 0.02
+_CLEAR = 0.01
 """Above the plane it stands on, in units of the box's half side, the object begins."""
 _OWN, _GROWN = 0.1, 2
 """Pieces with so many of the depths that the largest has belong to the object, too; a depth is a piece's within so many

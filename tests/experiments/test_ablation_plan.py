@@ -10,7 +10,7 @@ import pytest
 from sculpt_framework.command_line.request import parse
 from sculpt_framework.config import MethodConfig
 from sculpt_framework.errors import ConfigError
-from sculpt_framework.experiments.ablation import DEFAULT, FACTORS, Ablation, ablation
+from sculpt_framework.experiments.ablation import DEFAULT, EVIDENCE, FACTORS, Ablation, ablation
 from sculpt_framework.experiments.plan import (
     Budget,
     PlannedScene,
@@ -198,3 +198,15 @@ def test_scenes_get_names_of_their_own(tmp_path: Path, monkeypatch: pytest.Monke
 def test_scenes_that_cannot_be_run(scenes: list[str], message: str):
     with pytest.raises(ConfigError, match=message):
         planned_scenes(scenes)
+
+
+def test_what_the_surface_learns_from_is_left_out_a_part_at_a_time():
+    found = configs(made(factors=(EVIDENCE,)))
+    losses = {name: {name_of(loss) for loss in config.losses} for name, config in found.items()}
+    starts = {name: name_of(config.initializer) for name, config in found.items()}
+    own = losses[DEFAULT]
+    assert losses["no-agreement"] == losses["paper-loss"] == own - {"consistency"}
+    assert losses["no-bending"] == own - {"photometric"}
+    assert all(losses[name] == own for name in ("with-colours", "no-stereo", "from-hull"))
+    hulls = {"from-hull", "paper-loss"}
+    assert all(start == ("visual-hull" if name in hulls else starts[DEFAULT]) for name, start in starts.items())

@@ -57,6 +57,7 @@ FACES = 150_000
 CELL = 2 / 128
 """Of a grid of 128 cells, in units of the radius."""
 SAMPLES = 50_000
+LEAST_DRAWN = 0.01
 LAMP = np.array([0.36, -0.48, 0.8])
 LENGTHS = ("depth_error", "residual_depth", "residual_depth_p90")
 READINGS = (*LENGTHS, "residual_px", "residual_p90_px")
@@ -339,20 +340,20 @@ def read_rows(path: Path) -> list[Mapping[str, str]]:
 def drawn(rows: Sequence[Mapping[str, str]]) -> Drawing:
     """A dot for each mesh, in a colour for each kind; a dashed line for what the truth of a capture leaves.
 
-    The axes are logarithmic: what is told as no error at all is drawn as the least there is.
+    The axes are logarithmic: what is told as no error at all is drawn at the lower end.
     """
     series = [
         Series(
             name=row["kind"],
-            points=[(float(row["error"]), float(row["depth_error"]))],
+            points=[(float(row["error"]), max(float(row["depth_error"]), LEAST_DRAWN))],
             style="level" if row["kind"] == TRUTH else "mark",
         )
         for row in complete(rows)
     ]
     colors = {**series_colors([line for line in series if line.name != TRUTH]), TRUTH: "#999999"}
     title = f"{len(series)} meshes of {len({row['capture'] for row in rows})} captures"
-    x = Axis(label="true depth error where it is judged, 1e-2 radius (log)", log=True)
-    y = Axis(label="depth error by the photographs alone, 1e-2 radius (log)", log=True)
+    x = Axis(label="true depth error, 1e-2 radius (log)", log=True)
+    y = Axis(label="by photographs alone, 1e-2 radius (log)", log=True)
     return line_drawing(title, series, x, y, colors=colors, legend=True)
 
 

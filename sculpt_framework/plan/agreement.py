@@ -63,11 +63,18 @@ def stereo(config: SculptingConfig, evidence: Evidence) -> Ruling:
 
 
 def _start(name: str, config: SculptingConfig) -> InitializerConfig:
-    """The initializer of that name, with as many views as the method's own."""
+    """The initializer of that name, with as many views as the method's own, and as fine as the cells of the grid."""
     start = registry.default("initializer", name)
     assert isinstance(start, InitializerConfig)  # noqa: S101
     views = option_of(config.initializer, "max_views")
-    return replace(start, **{"max_views": views}) if has_option(start, "max_views") and views is not None else start
+    options: dict[str, int] = {}
+    if has_option(start, "max_views") and views is not None:
+        options["max_views"] = views
+    cells, pixels = option_of(start, "cells"), option_of(start, "pixels")
+    finest = config.trainer.base_cells << max(stage.level for stage in config.trainer.stages)
+    if cells and pixels and finest > cells:
+        options |= {"cells": finest, "pixels": round(pixels * finest / cells)}
+    return replace(start, **options)
 
 
 def light(config: SculptingConfig, evidence: Evidence) -> Ruling:

@@ -76,6 +76,14 @@ def test_correlation_is_compared_where_colours_differ() -> None:
     assert changed["stereo"].measured["unevenness"] == 1.01 * UNEVEN_COLORS
 
 
+def test_the_start_is_as_fine_as_the_cells() -> None:
+    usual = decided(uneven(1.01 * UNEVEN_COLORS))[0].initializer
+    finer = with_options(method(), "trainer", base_cells=2 * method().trainer.base_cells)
+    start = decided(uneven(1.01 * UNEVEN_COLORS), finer)[0].initializer
+    for option in ("cells", "pixels"):
+        assert option_of(start, option) == 2 * option_of(usual, option)
+
+
 def test_the_surface_learns_from_agreement_where_light_is_uneven() -> None:
     config, changed = decided(uneven(0.99 * UNEVEN_LIGHT))
     assert weights(config) == weights(method())

@@ -166,20 +166,14 @@ def _evidence(config: SculptingConfig) -> list[Level]:
     from depths by equal colours and from the visual hull alone; and the paper's own loss and start."""
     names = [registry.name_of(loss) for loss in config.losses]
     colours = ("--losses", *(name for name in names if name != CONSISTENCY))
-    agreement = ("--losses", *(name for name in names if name != PHOTOMETRIC), "--losses.consistency.views")
+    agreement = (f"--losses.{PHOTOMETRIC}.weight", "0", f"--losses.{CONSISTENCY}.views", str(AGREEING_VIEWS))
     following = ("--trainer.warm-up-steps", str(FIRST_STEPS), "--trainer.stages.0.inner-steps", str(FOLLOWING_STEPS))
     hull = ("--initializer", "visual-hull")
     rows: dict[str, tuple[str, ...]] = {
         "planned": (),
         "no-agreement": colours,
         "with-colours": ("--plan.light", "off"),
-        "no-bending": (
-            *agreement,
-            str(AGREEING_VIEWS),
-            *following,
-            "--trainer.stages.0.outer-views",
-            str(OUTLINE_VIEWS),
-        ),
+        "no-bending": (*agreement, *following, "--trainer.stages.0.outer-views", str(OUTLINE_VIEWS)),
         "no-stereo": ("--plan.stereo", "off"),
         "from-hull": ("--plan.stereo", "off", *hull),
         "paper-loss": ("--plan.stereo", "off", *hull, *colours),

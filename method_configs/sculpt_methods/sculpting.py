@@ -61,6 +61,12 @@ def gaussian_sculpting() -> SculptingConfig:
     )
 
 
+def gaussian_sculpting_fine() -> SculptingConfig:
+    """The default in cells two thirds as wide: for photographs that show more; about twice the time."""
+    base = gaussian_sculpting()
+    return replace(base, method="gaussian-sculpting-fine", trainer=replace(base.trainer, base_cells=48))
+
+
 def gaussian_sculpting_tiny() -> SculptingConfig:
     """A few coarse steps in seconds: for tests and first contact."""
     base = gaussian_sculpting()

@@ -67,6 +67,7 @@ BUILTIN: dict[str, dict[str, str]] = {
 
 METHODS: dict[str, str] = {
     "gaussian-sculpting": "sculpt_methods.sculpting:gaussian_sculpting",
+    "gaussian-sculpting-fine": "sculpt_methods.sculpting:gaussian_sculpting_fine",
     "gaussian-sculpting-everything": "sculpt_methods.everything:gaussian_sculpting_everything",
     "gaussian-sculpting-paper": "sculpt_methods.paper:gaussian_sculpting_paper",
     "gaussian-sculpting-tiny": "sculpt_methods.sculpting:gaussian_sculpting_tiny",

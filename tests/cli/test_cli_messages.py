@@ -8,21 +8,16 @@ from sculpt_framework.cli.train import main
 from sculpt_framework.command_line.request import parse, read_request
 from sculpt_framework.errors import SculptError
 
+METHODS = ", ".join(f"gaussian-sculpting{end}" for end in ("", "-fine", "-everything", "-paper", "-tiny"))
 BUILT_IN = "mlp, hash-grid, dense-grid, fancy, plain"
 
 MISTAKES = {
     "fake": "--data is missing: give a folder, as in --data DIR, or --data demo.",
-    "fkae --data x": (
-        "there is no method 'fkae'. Did you mean 'fake'? Available: gaussian-sculpting, "
-        "gaussian-sculpting-everything, gaussian-sculpting-paper, gaussian-sculpting-tiny, fake."
-    ),
-    "--data x fake": (
-        "sculpt-train starts with a method, not with --data. Methods: gaussian-sculpting, "
-        "gaussian-sculpting-everything, gaussian-sculpting-paper, gaussian-sculpting-tiny, fake."
-    ),
+    "fkae --data x": (f"there is no method 'fkae'. Did you mean 'fake'? Available: {METHODS}, fake."),
+    "--data x fake": (f"sculpt-train starts with a method, not with --data. Methods: {METHODS}, fake."),
     "": (
         "sculpt-train starts with a method, as in sculpt-train gaussian-sculpting --data demo. Methods: "
-        "gaussian-sculpting, gaussian-sculpting-everything, gaussian-sculpting-paper, gaussian-sculpting-tiny, fake."
+        f"{METHODS}, fake."
     ),
     "fake --data x --field fncy": (
         f"--field fncy: there is no field 'fncy'. Did you mean 'fancy'? Available: {BUILT_IN}."

@@ -9,6 +9,7 @@ import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float64
@@ -41,6 +42,8 @@ _CLEAR = 0.01
 _OWN, _GROWN = 0.1, 2
 """Pieces with so many of the depths that the largest has belong to the object, too; a depth is a piece's within so many
 cells."""
+_BURNT_OUT = 0.98
+"""Brightness of a channel from which on it says only that there was much light."""
 _KNOWN = 0.02
 """Share of the pixels that must have a depth."""
 _WALLED, _ROOM, _OPEN = 0.1, 5, 3
@@ -125,7 +128,7 @@ def _solid(views: Sequence[View], *, sure: bool, keep_support: bool) -> _Solid |
     space = whole_box((1.0, 1.0, 1.0), _SPACE_CELLS)
     ball = np.linalg.norm(space.points, axis=1).astype(np.float32) - np.float32(reach)
     options = StereoOptions(pixels=round(_AROUND * _PIXELS), neighbours=_NEIGHBOURS, agreeing=_AGREEING)
-    maps = find_depths(views, space.holding(ball.reshape(space.shape)), options)
+    maps = _without_burnt_out(find_depths(views, space.holding(ball.reshape(space.shape)), options), views)
     known = f"depths at {100 * maps.known:.0f} % of the pixels of {len(maps.views)} views"
     if maps.known < _KNOWN:
         return f"only {known}: neighbouring views show little that is alike"
@@ -141,6 +144,17 @@ def _solid(views: Sequence[View], *, sure: bool, keep_support: bool) -> _Solid |
     if not keep_support and sum(wall.mean() > _WALLED for wall in walls) >= (_ROOM if sure else _OPEN):
         return f"{known}, but what they show fills the space: no object ends within it"
     return _Solid(volume=volume, inside=inside, seen=seen, support=support, known=known)
+
+
+def _without_burnt_out(maps: DepthMaps, views: Sequence[View]) -> DepthMaps:
+    """Without depths where all channels are clipped: a table in glaring light would be taken for part of the object."""
+    depths, confidence = maps.depths.copy(), maps.confidence.copy()
+    for number, (given, (rows, columns)) in enumerate(zip(maps.views.given, maps.views.sizes.tolist(), strict=True)):
+        clipped = (views[int(given)].rgb.numpy().min(axis=2) >= _BURNT_OUT).astype(np.float32)
+        share = np.asarray(cv2.resize(clipped, (columns, rows), interpolation=cv2.INTER_AREA))
+        for layer in (depths, confidence):
+            layer[number, :rows, :columns][share > 0.5] = 0
+    return replace(maps, depths=depths, confidence=confidence)
 
 
 def _cube(seed: Box) -> Box:

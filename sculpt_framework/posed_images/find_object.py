@@ -49,7 +49,7 @@ _KNOWN = 0.02
 _WALLED, _ROOM, _OPEN = 0.1, 5, 3
 """What takes up more than this share of so many of the six walls of the space is a room, or a table, not an object:
 the first where the space is known to hold the object, of which there may be more beyond it, the second elsewhere."""
-_SURE, _SHOWN = 0.6, 0.8
+_SURE, _SHOWN = 0.6, 0.85
 """Share of the masks in which what is nearest must have been seen, and of the images that must show it: else views
 agree by chance."""
 

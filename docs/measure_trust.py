@@ -43,6 +43,7 @@ from sculpt_framework.evaluation.drawing import Drawing
 from sculpt_framework.evaluation.drawing_png import to_png
 from sculpt_framework.evaluation.geometry import MeasuredMesh
 from sculpt_framework.evaluation.mesh import Mesh, load_mesh
+from sculpt_framework.evaluation.residual import Residuals, SeenMesh
 from sculpt_framework.evaluation.visibility import Observed, seen_by, visible_distances
 from sculpt_framework.experiments.capture_measures import radius_of
 from sculpt_framework.export.decimation import decimate
@@ -107,8 +108,10 @@ def measure_capture(folder: Path, out: Path, pairs: int, pixels: int, seconds: f
         except DataError as error:
             sys.stdout.write(f"{folder.name} {name}: left out, {error}\n")
             continue
-        found = images.measure(mesh)
-        error = depth_error(mesh, images, depths)
+        looked_at = images.seen(mesh)
+        residuals = images.residuals(mesh, looked_at)
+        found = images.told(mesh, looked_at, residuals)
+        error = depth_error(images, looked_at, residuals, depths)
         known_truth = visible_distances(mesh, reference, seen, observed=observed)
         lengths = [error, known_truth.point_to_surface, *(getattr(found, each) for each in LENGTHS)]
         lengths = [None if x is None else 100 * x / radius for x in lengths]
@@ -123,14 +126,15 @@ def measure_capture(folder: Path, out: Path, pairs: int, pixels: int, seconds: f
         sys.stdout.write(told)
 
 
-def depth_error(mesh: Mesh, images: PosedImages, truth: Sequence[np.ndarray]) -> float | None:
+def depth_error(
+    images: PosedImages, looked_at: Sequence[SeenMesh], residuals: Sequence[Residuals], truth: Sequence[np.ndarray]
+) -> float | None:
     """How far the truth is off, across the surface, at the pixels that photographs judge; ``truth`` is its depth in
     each of ``images``. Where a camera sees no truth it is infinitely far."""
-    seen = images.seen(mesh)
     off = [np.empty(0)]
-    for (first, _), found in zip(images.pairs, images.residuals(mesh, seen), strict=True):
+    for (first, _), found in zip(images.pairs, residuals, strict=True):
         rows, columns = found.places.T
-        off.append(np.abs(truth[first][rows, columns] - seen[first].pixels.depth[rows, columns]) * found.facing)
+        off.append(np.abs(truth[first][rows, columns] - looked_at[first].pixels.depth[rows, columns]) * found.facing)
     all_of_them = np.concatenate(off)
     # Not the mean of two of them, of which one may be infinite.
     return float(np.percentile(all_of_them, DEPTH_ERROR_PERCENTILE, method="lower")) if len(all_of_them) else None

@@ -17,21 +17,13 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 from measure_poses import Similarity, pose_errors, read_poses, say, similarity
 
-from sculpt_framework import registry
-from sculpt_framework.config import DatasetConfig
-from sculpt_framework.evaluation.consistency import EVALUATION_PIXELS, PosedImages
-from sculpt_framework.evaluation.geometry import MeasuredMesh
 from sculpt_framework.evaluation.mesh import Mesh, load_mesh
-from sculpt_framework.evaluation.visibility import Observed, seen_by, visible_distances
-from sculpt_framework.experiments.capture_measures import radius_of
+from sculpt_framework.experiments.capture_measures import Capture
 from sculpt_framework.posing.upright import centers
-
-SAMPLES = 50_000
 
 
 def main() -> int:
@@ -66,7 +58,8 @@ def line_of(folder: Path, out: Path, masks: bool) -> str:
     seconds = [
         json.loads((run / "metrics.json").read_text(encoding="utf-8"))["t_wall_s"] for run in (found_run, known_run)
     ]
-    measured = [measures(folder, mesh) for mesh in meshes]
+    capture = Capture(str(folder))
+    measured = [measures(capture, mesh) for mesh in meshes]
     pairs = " ".join(
         f"{told(of_found, 3):>{wide}} {told(of_known, 3):>6}"
         for wide, of_found, of_known in zip((11, 9, 7), *measured, strict=True)
@@ -89,19 +82,12 @@ def placed(mesh: Mesh, fit: Similarity) -> Mesh:
     return Mesh(vertices=fit.scale * mesh.vertices @ fit.rotation.T + fit.shift, faces=mesh.faces)
 
 
-def measures(folder: Path, mesh: Mesh) -> tuple[float | None, float | None, float | None]:
+def measures(capture: Capture, mesh: Mesh) -> tuple[float | None, float | None, float | None]:
     """Residual in pixels; distance and its median, hundredths of the radius, None without truth."""
-    scene = cast(DatasetConfig, registry.default("dataset", "auto")).build(str(folder)).load()
-    images = PosedImages(scene.train, scene.box.center.double().numpy(), pixels_at_most=EVALUATION_PIXELS)
-    residual = images.measure(mesh).residual_px
-    if scene.reference_mesh is None:
-        return residual, None, None
-    truth = load_mesh(scene.reference_mesh)
-    reference, cameras = MeasuredMesh(truth, SAMPLES), [view.camera for view in scene.train]
-    observed = Observed(cameras=cameras, box=scene.box)
-    found = visible_distances(mesh, reference, seen_by(reference, cameras), observed=observed)
-    unit = 100 / radius_of(truth)
-    return residual, unit * found.point_to_surface, unit * found.median
+    found = capture.measure(mesh)
+    lengths = (found.get(name) for name in ("distance", "distance_median"))
+    distance, median = (None if each is None else 100 * each / capture.radius for each in lengths)
+    return found["residual_px"], distance, median
 
 
 def told(value: float | None, digits: int) -> str:

@@ -1,11 +1,11 @@
 """``sculpt``: what commands there are, and each of them by its last word."""
 
-import difflib
 import importlib
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from sculpt_framework import registry
 from sculpt_framework.cli import exit_codes
 from sculpt_framework.errors import ConfigError
 
@@ -49,8 +49,8 @@ def sculpt(words: Sequence[str]) -> None:
         return
     found = {command.name: command for command in (*USUAL, *RARE)}.get(words[0])
     if found is None:
-        near = difflib.get_close_matches(words[0], [each.name for each in (*USUAL, *RARE)], n=1)
-        hint = f"did you mean {near[0]}? " if near else ""
+        near = registry.closest(words[0], [each.name for each in (*USUAL, *RARE)])
+        hint = f"did you mean {near}? " if near else ""
         raise ConfigError(f"{words[0]}: there is no such command; {hint}sculpt --help lists them.")
     sys.argv = [f"sculpt-{found.name}", *words[1:]]
     importlib.import_module(f"sculpt_framework.cli.{found.module}").main()

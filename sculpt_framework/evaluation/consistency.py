@@ -98,15 +98,17 @@ class PosedImages:
         """``mesh`` is in world frame. Without area there is nothing to measure, without pairs no residual."""
         if not mesh.areas.sum() > 0 or not self.images:
             return replace(_NOTHING, pairs=len(self.pairs))
-        slack = visibility_slack(mesh.vertices)
         seen = self.seen(mesh)
-        found = self.residuals(mesh, seen)
+        return self.told(mesh, seen, self.residuals(mesh, seen))
+
+    def told(self, mesh: Mesh, seen: Sequence[SeenMesh], found: Sequence[Residuals]) -> Consistency:
+        """The figures of a mesh that has been looked at."""
         pixels = np.concatenate([np.empty(0), *(each.pixels for each in found)])
         depths = np.concatenate([np.empty(0), *(each.depths for each in found)])
         beside = np.concatenate([np.empty(0), *(each.beside for each in found)])
         whole = sum(int(self.images[first].mask[::STRIDE, ::STRIDE].sum()) for first, _ in self.pairs)
         uneven = unevenness(mesh)
-        known, plain = _places(uneven, seen, slack)
+        known, plain = _places(uneven, seen, visibility_slack(mesh.vertices))
         return Consistency(
             residual_px=float(np.median(pixels)) if len(pixels) else None,
             residual_p90_px=float(np.percentile(pixels, 90)) if len(pixels) else None,

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Int8, UInt8
+from jaxtyping import Bool, Float, Float32, Int8, UInt8
 
 from sculpt_framework.types import View
 
@@ -57,6 +57,12 @@ class Outline:
     @property
     def position(self) -> Float[np.ndarray, " 3"]:
         return -self.world_to_camera[:3, :3].T @ self.world_to_camera[:3, 3]
+
+    def local(self, middle: Float[np.ndarray, " 3"], points: Float32[np.ndarray, "n 3"]) -> Float32[np.ndarray, "3 n"]:
+        """Points relative to ``middle``, in the camera's frame."""
+        rotation = self.world_to_camera[:3, :3]
+        offset = (rotation @ middle + self.world_to_camera[:3, 3]).astype(np.float32)
+        return rotation.astype(np.float32) @ points.T + offset[:, None]
 
     @property
     def axis(self) -> Float[np.ndarray, " 3"]:
@@ -166,9 +172,7 @@ def admits(
     1: it shows the place inside its mask; -1: the place lies beyond a border of the image that the mask does not touch,
     which speaks against it, though the object may have gone round; 0: neither. ``points`` are relative to ``middle``.
     """
-    rotation, translation = outline.world_to_camera[:3, :3], outline.world_to_camera[:3, 3]
-    offset = (rotation @ middle + translation).astype(np.float32)
-    x, y, depth = rotation.astype(np.float32) @ points.T + offset[:, None]
+    x, y, depth = outline.local(middle, points)
     near = depth <= 1.01 * radius  # Balls that reach the camera project to no disc.
     inverse = 1 / np.where(near, np.float32(1), depth)
     x, y = x * inverse, y * inverse

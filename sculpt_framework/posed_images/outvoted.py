@@ -47,8 +47,8 @@ def without_outvoted(views: Sequence[View], box: Box) -> tuple[list[View], list[
     """The views but for those that contradict the others, and a note that names them.
 
     ``box``, of the views' frame, is what all of them together leave of space: masks end where it does. Views without
-    alpha have nothing to contradict with. Where few views have one, or so many would have to go that
-    nobody can say who is right, all stay; the latter is noted.
+    alpha have nothing to contradict with. Where few views have one, or so many would have to go that nobody can say
+    who is right, all stay; the latter is noted.
     """
     numbers = [number for number, view in enumerate(views) if view.alpha is not None and bool((view.alpha > 0.5).any())]
     if len(numbers) < FEWEST:
@@ -67,13 +67,12 @@ def without_outvoted(views: Sequence[View], box: Box) -> tuple[list[View], list[
     gone = {numbers[index] for index in np.flatnonzero(wrong)}
     if not gone:
         return list(views), []
-    names = [views[number].name for number in sorted(gone)]
-    told = ", ".join(names)
+    told = ", ".join(views[number].name for number in sorted(gone))
     left = [view for number, view in enumerate(views) if number not in gone]
-    count = "1 train image is" if len(names) == 1 else f"{len(names)} train images are"
+    count = "1 train image is" if len(gone) == 1 else f"{len(gone)} train images are"
     note = (
         f"{count} left out, as the mask or the pose contradicts the others ({told}): together, they leave up to "
-        f"{100 * share:.0f} % of what a mask shows unexplained; look at them with sculpt-data masks DIR."
+        f"{100 * share:.0f} % of what a mask shows unexplained. Look at their masks."
     )
     return left, [note]
 
@@ -140,8 +139,7 @@ def _unexplained(
 def _uncovered(outline: Outline, space: _Space, points: Float32[np.ndarray, "m 3"]) -> float:
     """Share of a mask that no cell covers."""
     inside = outline.distance == 0
-    rotation, translation = outline.world_to_camera[:3, :3], outline.world_to_camera[:3, 3]
-    placed = points @ rotation.T.astype(np.float32) + (rotation @ space.middle + translation).astype(np.float32)
+    placed = outline.local(space.middle, points).T
     placed = placed[placed[:, 2] > space.radius]
     if len(placed) == 0:
         return 1.0

@@ -68,12 +68,13 @@ def load_photographs(
         said += [f"the object is looked for in {how}.", *found]
     bounds = FoundBox(box=given, said="box as given.", cuts=True) if given is not None else _find_box(views, clues)
     agreeing, outvoted = without_outvoted(_cut_to(bounds, views), bounds.box)
-    if len(agreeing) < len(views):
+    said += outvoted
+    if len(agreeing) < len(views) and given is None:
         names = {view.name for view in agreeing}
         views = [view for view in views if view.name in names]
-        bounds = bounds if given is not None else _find_box(views, clues)
-    said += outvoted
-    views, held_out = _showing(_cut_to(bounds, views)), _cut_to(bounds, held_out)
+        bounds = _find_box(views, clues)
+        agreeing = _cut_to(bounds, views)
+    views, held_out = _showing(agreeing), _cut_to(bounds, held_out)
     if not views:
         raise DataError(f"no train image shows any of the object inside the {bounds.said}")
     return Scene(

@@ -18,7 +18,7 @@ from sculpt_framework.plan.agreement import by_agreement
 from sculpt_framework.posed_images.outvoted import without_outvoted
 from sculpt_framework.sculpting.config import SculptingConfig
 from sculpt_framework.stress.cases import Case, Measured
-from sculpt_framework.stress.small import PIXELS, VIEWS, chamfer, scene_of, small_method, train, truth_of, view_of
+from sculpt_framework.stress.small import PIXELS, VIEWS, chamfer, scene_of, small_method, train, truth_of
 from sculpt_framework.types import Box, Camera, Scene, View
 
 _LIT_PIXELS = 96
@@ -216,7 +216,6 @@ def _checkered(rgb: Tensor, index: int) -> Tensor:
 def _lights() -> Iterator[Extreme]:
     """By agreement between photographs, which is what surfaces learn from where light differs."""
     blob = demo_object("blob")
-    whole = tuple(demo_cameras(VIEWS, _LIT_PIXELS))
     for name, done, paint in (
         ("even", "as it is, for comparison", lambda rgb, index: rgb),
         ("black-and-white", "black and white images", lambda rgb, index: rgb.mean(dim=2, keepdim=True).expand_as(rgb)),
@@ -227,7 +226,7 @@ def _lights() -> Iterator[Extreme]:
         yield Extreme(
             name=f"light-{name}",
             done=f"by agreement: {done}",
-            make=partial(_lit_scene, whole, paint),
+            make=partial(_lit_scene, VIEWS, paint),
             item=blob,
             limit=10.0,
             method=_agreeing,
@@ -235,7 +234,7 @@ def _lights() -> Iterator[Extreme]:
     yield Extreme(
         name="light-one-view",
         done="by agreement: one view, which has nothing to agree with",
-        make=partial(_lit_scene, whole[:1], lambda rgb, index: rgb),
+        make=partial(_lit_scene, 1, lambda rgb, index: rgb),
         item=blob,
         limit=_LOST,
         method=_agreeing,
@@ -248,9 +247,14 @@ def _agreeing() -> SculptingConfig:
     return by_agreement(replace(config, losses=parts))  # pyright: ignore[reportArgumentType]
 
 
-def _lit_scene(cameras: tuple[Camera, ...], paint: Callable[[Tensor, int], Tensor]) -> Scene:
-    scene = _scene(demo_object("blob"), cameras)
-    return replace(scene, train=tuple(_painted(paint, index, view) for index, view in enumerate(scene.train)))
+@lru_cache(maxsize=1)
+def _lit() -> Scene:
+    return _scene(demo_object("blob"), tuple(demo_cameras(VIEWS, _LIT_PIXELS)))
+
+
+def _lit_scene(count: int, paint: Callable[[Tensor, int], Tensor]) -> Scene:
+    views = _lit().train[:count]
+    return replace(_lit(), train=tuple(_painted(paint, index, view) for index, view in enumerate(views)))
 
 
 def _exposed(rgb: Tensor, index: int) -> Tensor:
@@ -266,7 +270,7 @@ def _shaded(rgb: Tensor, index: int) -> Tensor:
 
 
 def _first_picture(rgb: Tensor, index: int) -> Tensor:
-    return view_of(demo_object("blob"), demo_cameras(VIEWS, _LIT_PIXELS)[0], "first").rgb
+    return _lit().train[0].rgb
 
 
 # --------------------------------------------------------------------------------------------------------------- shapes

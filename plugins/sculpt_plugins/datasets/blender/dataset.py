@@ -24,8 +24,10 @@ class BlenderDataset(Dataset):
         (train, test), mask_notes = self._masked(train, test)
         posed, test_posed, turned = white_on_object(posed_images(train), posed_images(test), "auto")
         loaded = load_views(posed, test_posed, self.config.background, downscale=self.config.downscale)
-        learned, outvoted = without_outvoted(loaded.train, fit_box(loaded.train).box)
-        bounds = fit_box(learned)
+        bounds = fit_box(loaded.train)
+        learned, outvoted = without_outvoted(loaded.train, bounds.box)
+        if len(learned) < len(loaded.train):
+            bounds = fit_box(learned)
         if len(learned) <= 2:
             count = "one view" if len(learned) == 1 else "two views"
             notes.append(f"only {count} to learn from: what they do not show is made up.")

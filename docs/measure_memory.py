@@ -16,9 +16,9 @@ from scipy.optimize import nnls
 
 from sculpt_framework import registry
 from sculpt_framework.engine.session import Session
+from sculpt_framework.posed_images.training_images import prepare_image
 from sculpt_framework.sculpting import memory_check
 from sculpt_framework.sculpting.config import SculptingConfig, of_sculpting
-from sculpt_framework.sculpting.images import prepare_image
 from sculpt_framework.stress.small import small_scene, trainer_of
 
 SIZES = ((0, 60, 1), (2, 100, 1), (2, 100, 3), (1, 500, 1), (3, 200, 1), (2, 800, 3))

@@ -49,7 +49,7 @@ from sculpt_framework.experiments.capture_measures import radius_of
 from sculpt_framework.export.decimation import decimate
 from sculpt_framework.export.mesh_files import vertex_normals
 from sculpt_framework.export.mesh_pixels import draw_mesh
-from sculpt_framework.sculpting.images import in_object_frame
+from sculpt_framework.posed_images.training_images import in_object_frame
 from sculpt_framework.shape_from_images.volume import sample
 from sculpt_framework.types import Scene, View
 

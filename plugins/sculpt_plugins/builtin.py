@@ -71,6 +71,10 @@ METHODS: dict[str, str] = {
     "gaussian-sculpting-everything": "sculpt_methods.everything:gaussian_sculpting_everything",
     "gaussian-sculpting-paper": "sculpt_methods.paper:gaussian_sculpting_paper",
     "gaussian-sculpting-tiny": "sculpt_methods.sculpting:gaussian_sculpting_tiny",
+    "nerf": "sculpt_methods.volume_rendered:nerf",
+    "neus": "sculpt_methods.volume_rendered:neus",
+    "splatting-3d": "sculpt_methods.splatting:splatting_3d",
+    "volsdf": "sculpt_methods.volume_rendered:volsdf",
 }
 
 EXPORTERS: dict[str, str] = {

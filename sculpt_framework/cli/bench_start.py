@@ -83,7 +83,7 @@ def _rows(data: str, request: StartRequest) -> list[StartRow]:
     from sculpt_framework.evaluation.geometry import MeasuredMesh, chamfer
     from sculpt_framework.evaluation.mesh import load_mesh
     from sculpt_framework.evaluation.visibility import seen_by, visible_distances
-    from sculpt_framework.sculpting.images import in_object_frame
+    from sculpt_framework.posed_images.training_images import in_object_frame
 
     dataset = registry.default("dataset", "auto")
     assert isinstance(dataset, DatasetConfig)  # noqa: S101

@@ -215,9 +215,9 @@ class SculptingConfig(MethodConfig):
         return start_of_repair(self, self.repair, scene)
 
     def renderer(self, folder: Path, scene: "Scene") -> "Callable[[Camera], Rendering]":
-        from sculpt_framework.sculpting.drawn_gaussians import draw_saved_gaussians
+        from sculpt_framework.export.saved_gaussians import draw_saved_gaussians
 
-        return draw_saved_gaussians(self, folder, scene)
+        return draw_saved_gaussians(self, self.rasterizer, self.trainer.low_pass_px2, folder, scene)
 
 
 def of_sculpting(config: MethodConfig) -> SculptingConfig:

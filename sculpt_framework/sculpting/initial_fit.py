@@ -10,8 +10,8 @@ from sculpt_framework.fields import Field
 from sculpt_framework.geometry.band import discover
 from sculpt_framework.geometry.signed_distance import SdfFunction
 from sculpt_framework.initializers import Initializer
+from sculpt_framework.posed_images.training_images import in_object_frame
 from sculpt_framework.sculpting.config import SculptingConfig
-from sculpt_framework.sculpting.images import in_object_frame
 from sculpt_framework.shape_from_images.volume import Volume, sample
 from sculpt_framework.types import Box, Surface, View
 

@@ -10,8 +10,8 @@ import torch
 
 from sculpt_framework.errors import TrainingFailed
 from sculpt_framework.memory import available_bytes, in_words
+from sculpt_framework.posed_images.training_images import object_window
 from sculpt_framework.sculpting.config import StageConfig
-from sculpt_framework.sculpting.images import object_window
 from sculpt_framework.sculpting.trainer import BiLevelTrainer
 from sculpt_framework.types import Box, View
 

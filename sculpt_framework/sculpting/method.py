@@ -12,21 +12,22 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sculpt_framework.commands import Command
+from sculpt_framework.evaluation.extracted import world_mesh
 from sculpt_framework.evaluation.mesh import Mesh
 from sculpt_framework.export.gaussian_files import write_gaussians_ply
+from sculpt_framework.export.saved_gaussians import GAUSSIANS_NAME, draw_gaussians
 from sculpt_framework.extractors import Extractor
 from sculpt_framework.geometry.signed_distance import EmptySurfaceError, SdfFunction
 from sculpt_framework.losses import TrainingImage
 from sculpt_framework.parallel.processes import Alone
+from sculpt_framework.posed_images.training_images import pixel_footprint, prepare_images
 from sculpt_framework.reconstructor import Host, Moment, Reconstructor, StepReport
 from sculpt_framework.sculpting import assembly, memory_check
 from sculpt_framework.sculpting.config import SculptingConfig, StageConfig
-from sculpt_framework.sculpting.drawn_gaussians import GAUSSIANS_NAME, draw_gaussians
-from sculpt_framework.sculpting.images import pixel_footprint, prepare_images
 from sculpt_framework.sculpting.initial_fit import fit_to_views, start_surface
 from sculpt_framework.sculpting.polish import polish
 from sculpt_framework.sculpting.rates import Rates
-from sculpt_framework.sculpting.reconstruction import Reconstruction, object_gaussians, reconstruct, world_mesh
+from sculpt_framework.sculpting.reconstruction import Reconstruction, object_gaussians, reconstruct
 from sculpt_framework.sculpting.sh_pruning import Judge, prune_bands
 from sculpt_framework.sculpting.silhouettes_first import shape_by_silhouettes
 from sculpt_framework.sculpting.state import capture, restore, undisturbed

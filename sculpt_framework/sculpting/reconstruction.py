@@ -6,11 +6,10 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
+from sculpt_framework.evaluation.extracted import world_mesh
 from sculpt_framework.evaluation.mesh import Mesh
 from sculpt_framework.evaluation.painted import PaintedMesh
-from sculpt_framework.geometry.coincident import separate
 from sculpt_framework.geometry.principal_axes import principal_axes
-from sculpt_framework.geometry.stray import compact, main_faces
 from sculpt_framework.rendering.spherical_harmonics import sh_to_rgb
 from sculpt_framework.sculpting.gaussian_scene import GaussianScene, assemble
 from sculpt_framework.types import Box, Gaussians, Surface
@@ -28,19 +27,6 @@ def object_gaussians(scene: GaussianScene, surface: Surface) -> Gaussians:
     """The Gaussians of a surface the scene follows, in the object frame."""
     binding = scene.bind(surface, learn=False)
     return assemble(binding, scene.harmonics(binding.means, degree=3, learn=False))
-
-
-@torch.no_grad()
-def world_mesh(surface: Surface, box: Box) -> tuple[Mesh, np.ndarray]:
-    """The surface without stray pieces, in world frame, and which of its faces were kept.
-
-    No two vertices are at the same place, as 32-bit floats either, so that what reads the file finds it closed.
-    """
-    vertices, faces = surface.vertices.double().cpu().numpy(), surface.faces.cpu().numpy()
-    kept = main_faces(vertices, faces)
-    points, faces, _ = compact(vertices, faces[kept])
-    world = points * box.scale + box.center.double().numpy()
-    return Mesh(vertices=separate(world, faces), faces=faces), kept
 
 
 @torch.no_grad()

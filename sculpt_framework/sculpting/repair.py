@@ -17,12 +17,12 @@ from sculpt_framework.engine.run import CHECKPOINTS, read_config, told_in
 from sculpt_framework.engine.session import Session
 from sculpt_framework.engine.steering import Steering
 from sculpt_framework.errors import CheckpointError, ConfigError
+from sculpt_framework.evaluation.extracted import world_mesh
 from sculpt_framework.evaluation.mesh import load_mesh
 from sculpt_framework.extractors import RefiningExtractor
 from sculpt_framework.sculpting.assembly import refine_boxes
 from sculpt_framework.sculpting.config import SculptingConfig
 from sculpt_framework.sculpting.method import Sculpting
-from sculpt_framework.sculpting.reconstruction import world_mesh
 from sculpt_framework.sculpting.state import capture, undisturbed
 from sculpt_framework.types import Scene
 

@@ -8,9 +8,9 @@ from typing import Any
 from sculpt_framework.errors import TrainingFailed
 from sculpt_framework.geometry.signed_distance import EmptySurfaceError
 from sculpt_framework.losses import TrainingImage
+from sculpt_framework.posed_images.training_images import pixel_footprint, prepare_images
 from sculpt_framework.sculpting.assembly import Parts, find_seeds, set_level
 from sculpt_framework.sculpting.config import SculptingConfig, StageConfig
-from sculpt_framework.sculpting.images import pixel_footprint, prepare_images
 from sculpt_framework.sculpting.trainer import BiLevelTrainer
 from sculpt_framework.stop_rule import FEWEST, StopRule
 from sculpt_framework.types import Box, View

@@ -8,8 +8,8 @@ from jaxtyping import UInt8
 
 from sculpt_framework import registry
 from sculpt_framework.config import RasterizerConfig
+from sculpt_framework.posed_images.training_images import prepare_image
 from sculpt_framework.rasterizers import Rasterizer
-from sculpt_framework.sculpting.images import prepare_image
 from sculpt_framework.types import Gaussians, Scene
 from sculpt_framework.viewing.layers import as_bytes
 

@@ -8,7 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from sculpt_framework.registry import load_method
 from sculpt_plugins.builtin import BUILTIN, EXPORTERS
+from sculpt_plugins.builtin import METHODS as METHOD_TABLE
 
 REGISTERED = [value for table in (*BUILTIN.values(), EXPORTERS) for value in table.values()]
 ROOT = Path(__file__).parents[2]
@@ -73,6 +75,12 @@ def test_no_method_imports_anything_heavy():
     assert not loaded("\n".join(f"import {module}" for module in modules)) & set(HEAVY)
 
 
+def test_methods_share_the_framework_alone():
+    for path in sorted((PLUGINS / "methods").iterdir()):
+        if path.is_dir():
+            assert not offences(path, "sculpt_plugins", allowed=(f"sculpt_plugins.methods.{path.name}",))
+
+
 def test_the_framework_names_no_plug_in_but_for_the_table():
     table = ("sculpt_plugins.builtin",)
     assert not offences(FRAMEWORK, "sculpt_plugins", "sculpt_methods", allowed=table)
@@ -119,7 +127,9 @@ def test_every_plug_in_folder_is_in_the_table():
     found = {
         f"sculpt_plugins.{path.parent.parent.name}.{path.parent.name}.config" for path in PLUGINS.glob("*/*/config.py")
     }
-    assert found == configs
+    methods = {f"sculpt_plugins.methods.{path.parent.name}.config" for path in PLUGINS.glob("methods/*/config.py")}
+    assert found - methods == configs
+    assert methods <= {type(load_method(name)()).__module__ for name in METHOD_TABLE}
 
 
 def test_no_file_is_long():

@@ -18,7 +18,7 @@ from sculpt_framework.posed_images.clues import Clues
 from sculpt_framework.posed_images.contact_sheet import thumbnail
 from sculpt_framework.posed_images.findings import findings
 from sculpt_framework.posed_images.projected_box import box_edges, box_outline
-from sculpt_framework.sculpting.images import prepare_image
+from sculpt_framework.posed_images.training_images import prepare_image
 from sculpt_framework.types import Box, Camera, View
 from sculpt_plugins.datasets.idr.config import IdrConfig
 

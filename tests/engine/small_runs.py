@@ -10,9 +10,9 @@ from sculpt_framework.engine.session import Session
 from sculpt_framework.events import Event
 from sculpt_framework.geometry.band import discover
 from sculpt_framework.losses import TrainingImage
+from sculpt_framework.posed_images.training_images import prepare_image
 from sculpt_framework.sculpting.assembly import Parts, build_parts
 from sculpt_framework.sculpting.config import SculptingConfig, StageConfig, of_sculpting
-from sculpt_framework.sculpting.images import prepare_image
 from sculpt_framework.sculpting.method import Sculpting
 from sculpt_framework.sculpting.reconstruction import Reconstruction
 from sculpt_framework.types import Scene

@@ -15,8 +15,8 @@ from sculpt_framework.evaluation.certificate import certify
 from sculpt_framework.events import Event
 from sculpt_framework.geometry.band import cells_at_level, discover
 from sculpt_framework.memory import available_bytes, in_words, peak_bytes
+from sculpt_framework.posed_images.training_images import prepare_image
 from sculpt_framework.sculpting import memory_check
-from sculpt_framework.sculpting.images import prepare_image
 from sculpt_framework.types import Scene
 from sculpt_plugins.datasets.blender.config import BlenderConfig
 

@@ -12,8 +12,8 @@ from torch import Tensor
 from sculpt_framework.geometry.band import discover
 from sculpt_framework.geometry.grid import grid_over_box
 from sculpt_framework.geometry.principal_axes import principal_axes
+from sculpt_framework.posed_images.training_images import pixel_footprint, prepare_image
 from sculpt_framework.sculpting.gaussian_scene import GaussianScene
-from sculpt_framework.sculpting.images import pixel_footprint, prepare_image
 from sculpt_framework.sculpting.initial_fit import fit_field
 from sculpt_framework.sculpting.reconstruction import object_gaussians, reconstruct
 from sculpt_framework.shape_from_images.volume import sample

@@ -10,9 +10,9 @@ from sculpt_framework import registry
 from sculpt_framework.demo_scenes.folder import DemoSettings, write_scene
 from sculpt_framework.demo_scenes.objects import demo_object
 from sculpt_framework.geometry.band import discover
+from sculpt_framework.posed_images.training_images import prepare_image
 from sculpt_framework.sculpting.assembly import build_parts
 from sculpt_framework.sculpting.config import SculptingConfig, of_sculpting
-from sculpt_framework.sculpting.images import prepare_image
 from sculpt_framework.types import Scene
 from sculpt_plugins.binders.face_barycentric.config import FaceBarycentricConfig
 from sculpt_plugins.constraints.boundary.config import BoundaryConfig

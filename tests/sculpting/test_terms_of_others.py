@@ -21,8 +21,8 @@ from sculpt_framework.evaluation.geometry import MeasuredMesh
 from sculpt_framework.export.mesh_pixels import draw_mesh
 from sculpt_framework.losses import ImageLoss, Target, TrainingImage
 from sculpt_framework.parameters import ParameterGroup
+from sculpt_framework.posed_images.training_images import prepare_images
 from sculpt_framework.sculpting.config import SculptingConfig, StageConfig
-from sculpt_framework.sculpting.images import prepare_images
 from sculpt_framework.stress.small import method_of, small_method, small_scene, truth_of
 from sculpt_framework.types import Rendering
 from sculpt_plugins.initializers.sphere.config import SphereConfig

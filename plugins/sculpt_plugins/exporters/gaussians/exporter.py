@@ -3,8 +3,8 @@ from pathlib import Path
 
 from sculpt_framework.export.atomic import write_atomically
 from sculpt_framework.export.run_results import result_file
+from sculpt_framework.export.saved_gaussians import GAUSSIANS_NAME
 from sculpt_framework.exporters import Exporter
-from sculpt_framework.sculpting.drawn_gaussians import GAUSSIANS_NAME
 
 
 class GaussiansExporter(Exporter):

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 class BendingConfig(LossConfig):
     """Angles between neighbouring faces: small ones are smoothed away, creases stay."""
 
-    weight: float = 0.2
+    weight: float = 0.06
     """Factor in the outer loss."""
     crease: Annotated[float, above(0, at_most=180)] = 30.0
     """Degrees between two normals at which half of what an edge can cost is reached."""

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import torch
 
+from sculpt_framework.config import MethodConfig, RasterizerConfig
 from sculpt_framework.device import pick_device
 from sculpt_framework.errors import CheckpointError
 from sculpt_framework.export.gaussian_files import read_gaussians_ply
 from sculpt_framework.rasterizers import Rasterizer
-from sculpt_framework.sculpting.config import SculptingConfig
 from sculpt_framework.types import Box, Camera, Gaussians, Rendering, Scene
 
 GAUSSIANS_NAME = "gaussians.ply"
@@ -25,7 +25,9 @@ def draw_gaussians(
     return rasterizer.render(gaussians, local, torch.ones(3, device=device), low_pass_px2=low_pass_px2)
 
 
-def draw_saved_gaussians(config: SculptingConfig, folder: Path, scene: Scene) -> Callable[[Camera], Rendering]:
+def draw_saved_gaussians(
+    config: MethodConfig, rasterizer: RasterizerConfig, low_pass_px2: float, folder: Path, scene: Scene
+) -> Callable[[Camera], Rendering]:
     """Of a finished run. Raises CheckpointError if the run has not left any."""
     path = folder / GAUSSIANS_NAME
     if not path.is_file():
@@ -35,6 +37,5 @@ def draw_saved_gaussians(config: SculptingConfig, folder: Path, scene: Scene) ->
     world, box = read_gaussians_ply(path), scene.box
     local = replace(world, means=box.to_object(world.means.double()).float(), scales=world.scales / box.scale)
     device = pick_device(config.device)
-    gaussians = local.to(device)
-    rasterizer, low_pass = config.rasterizer.build(device), config.trainer.low_pass_px2
-    return lambda camera: draw_gaussians(rasterizer, gaussians, box, camera, low_pass, device)
+    gaussians, built = local.to(device), rasterizer.build(device)
+    return lambda camera: draw_gaussians(built, gaussians, box, camera, low_pass_px2, device)

@@ -1,0 +1,1 @@
+"""Other methods, each in a folder of its own."""

@@ -1,0 +1,1 @@
+"""VolSDF (Yariv et al. 2021)."""

@@ -1,0 +1,82 @@
+"""What methods of free Gaussians have in common."""
+
+from abc import ABC
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from sculpt_framework.config import ExtractorConfig, MethodConfig, RasterizerConfig
+from sculpt_framework.ranges import above, at_least, between
+
+if TYPE_CHECKING:
+    from sculpt_framework.reconstructor import Host, Reconstructor
+    from sculpt_framework.types import Camera, Rendering, Scene
+
+
+@dataclass(frozen=True, kw_only=True)
+class DensityConfig:
+    """When Gaussians are cloned, split and dropped (3DGS, 5)."""
+
+    every: Annotated[int, at_least(1)] = 100
+    """Steps between."""
+    begin: Annotated[float, between(0, 1)] = 0.05
+    """Share of the run before which nothing is done."""
+    end: Annotated[float, between(0, 1)] = 0.6
+    """Share of the run after which nothing is done."""
+    gradient: Annotated[float, at_least(0)] = 2e-4
+    """Mean length of the loss' gradient by place in the image, in half images, from which on one is cloned or split."""
+    large: Annotated[float, above(0)] = 0.02
+    """Object units: larger ones are split, smaller ones are cloned."""
+    least_opacity: Annotated[float, between(0, 1)] = 0.005
+    """Those with less are dropped."""
+    most: Annotated[int, at_least(1)] = 100_000
+    """Gaussians from which on none are added."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GaussianRates:
+    """Learning rates. That of the means falls to a hundredth over the run."""
+
+    means: Annotated[float, at_least(0)] = 1.6e-3
+    """Object units per step."""
+    scales: Annotated[float, at_least(0)] = 5e-3
+    """Of their logarithms."""
+    rotations: Annotated[float, at_least(0)] = 1e-3
+    """Of quaternions."""
+    opacities: Annotated[float, at_least(0)] = 5e-2
+    """Of their logits."""
+    colors: Annotated[float, at_least(0)] = 2.5e-3
+    """Of the constant harmonic; the others learn at a twentieth of it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FreeGaussiansConfig(MethodConfig, ABC):
+    """Gaussians that start at random in the box, one view a step; a mesh by fusing the depths that they show."""
+
+    start: Annotated[int, at_least(4)] = 10_000
+    """Gaussians to begin with."""
+    sh_degree: Annotated[int, between(0, 3)] = 3
+    """Of the spherical harmonics, reached degree by degree."""
+    sh_every: Annotated[int, at_least(1)] = 1000
+    """Steps after which harmonics get another degree."""
+    dssim: Annotated[float, between(0, 1)] = 0.2
+    """Share of D-SSIM in the loss."""
+    low_pass_px2: Annotated[float, at_least(0)] = 0.3
+    """Variance that every Gaussian gains in the image, square pixels."""
+    mesh_cells: Annotated[int, at_least(8)] = 128
+    """Of the grid that depths are fused on, along the box's longest side."""
+    density: DensityConfig = DensityConfig()
+    rates: GaussianRates = GaussianRates()
+    rasterizer: RasterizerConfig
+    extractor: ExtractorConfig
+
+    def build(self, scene: "Scene", host: "Host") -> "Reconstructor":
+        from sculpt_framework.free_gaussians.reconstructor import FreeGaussiansReconstructor
+
+        return FreeGaussiansReconstructor(self, scene, host)
+
+    def renderer(self, folder: Path, scene: "Scene") -> "Callable[[Camera], Rendering]":
+        from sculpt_framework.export.saved_gaussians import draw_saved_gaussians
+
+        return draw_saved_gaussians(self, self.rasterizer, self.low_pass_px2, folder, scene)

@@ -1,0 +1,160 @@
+"""Free Gaussians as a session hosts them."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from scipy.spatial import KDTree
+from torch import Tensor
+
+from sculpt_framework.device import pick_device
+from sculpt_framework.evaluation.extracted import world_mesh
+from sculpt_framework.evaluation.mesh import Mesh
+from sculpt_framework.export.gaussian_files import write_gaussians_ply
+from sculpt_framework.export.saved_gaussians import GAUSSIANS_NAME, draw_gaussians
+from sculpt_framework.free_gaussians.config import FreeGaussiansConfig
+from sculpt_framework.free_gaussians.splats import Splats
+from sculpt_framework.geometry.grid import grid_over_box
+from sculpt_framework.losses import TrainingImage
+from sculpt_framework.posed_images.training_images import prepare_images
+from sculpt_framework.reconstructor import Host, Moment, Reconstructor, StepReport
+from sculpt_framework.rendering.photometric import l1_dssim
+from sculpt_framework.rendering.spherical_harmonics import sh_to_rgb
+from sculpt_framework.shape_from_images.tsdf import fuse_renderings, surface_of
+from sculpt_framework.snapshot import Snapshot
+from sculpt_framework.types import Camera, Gaussians, Rendering, Scene
+
+_LAST_MEANS_RATE = 0.01
+"""Of the means, the share that their learning rate ends at (3DGS, program)."""
+
+
+class FreeGaussiansReconstructor(Reconstructor):
+    """3D Gaussian splatting (Kerbl et al. 2023); a mesh by fusing the depths that the training views see."""
+
+    def __init__(self, config: FreeGaussiansConfig, scene: Scene, host: Host):
+        self._config, self._box, self._host = config, scene.box, host
+        self._device = pick_device(config.device)
+        self._generator = torch.Generator().manual_seed(config.seed)
+        self._rasterizer = config.rasterizer.build(self._device)
+        self._grid = grid_over_box(scene.box.half_sides.float(), config.mesh_cells)
+        self._images: list[TrainingImage] = []
+        self._order: list[int] = []
+        """Views that are still to come before each has been looked at again."""
+        half_sides = scene.box.half_sides.to(self._device)
+        self._splats = Splats.at_random(half_sides, config.start, config.sh_degree, config.rates, self._generator)
+        self._taken = 0
+        self._mesh: Mesh | None = None
+
+    # -- learning ------------------------------------------------------------------------------------------------
+
+    def begin(self) -> None:
+        return
+
+    def step(self, moment: Moment) -> StepReport:
+        config, splats, image = self._config, self._splats, self._next_image()
+        background = torch.rand(3, generator=self._generator).to(self._device)
+        target = image.over(background)
+        rendering = self._rasterizer.render(
+            splats.gaussians(self._bands), image.camera, background, low_pass_px2=config.low_pass_px2
+        )
+        loss = l1_dssim(rendering.rgb, target.rgb, config.dssim)
+        if not torch.isfinite(loss):
+            raise FloatingPointError(f"the loss is {float(loss.detach())}")
+        splats.zero_grad()
+        loss.backward()
+        splats.note(image.camera)
+        splats.step(moment.rate, moment.rate * _LAST_MEANS_RATE**moment.progress)
+        self._taken += 1
+        self._mesh = None
+        density = config.density
+        if density.begin <= moment.progress < density.end and self._taken % density.every == 0:
+            self._splats = splats.renewed(density, self._generator)
+        value = float(loss.detach())
+        return StepReport(loss=value, terms={"color": value}, faces=0, facts={"gaussians": len(self._splats)})
+
+    @property
+    def _bands(self) -> int:
+        return (min(self._config.sh_degree, self._taken // self._config.sh_every) + 1) ** 2
+
+    def _next_image(self) -> TrainingImage:
+        if not self._images:
+            self._images = prepare_images(self._host.views, self._box, 1.0, self._device)
+        if not self._order:
+            self._order = torch.randperm(len(self._images), generator=self._generator).tolist()
+        return self._images[self._order.pop()]
+
+    # -- what can be seen of it ----------------------------------------------------------------------------------
+
+    @torch.no_grad()
+    def mesh(self) -> Mesh:
+        """What no view sees is inside: the mesh is closed by what hides it."""
+        if self._mesh is None:
+            gaussians = self._splats.gaussians(1)
+            cameras = [
+                self._box.camera_to_object(view.camera).to(self._device, torch.float32) for view in self._host.views
+            ]
+            seen = ((camera, self._draw(gaussians, camera)) for camera in cameras)
+            level, seeds = surface_of(fuse_renderings(seen, self._grid), self._grid, self._device)
+            extractor = self._config.extractor.build(self._grid, self._device)
+            self._mesh = world_mesh(extractor.extract(level, seeds).surface, self._box)[0]
+        return self._mesh
+
+    def _draw(self, gaussians: Gaussians, camera: Camera) -> Rendering:
+        white = torch.ones(3, device=self._device)
+        return self._rasterizer.render(gaussians, camera, white, low_pass_px2=self._config.low_pass_px2)
+
+    @torch.no_grad()
+    def colors(self) -> Float[np.ndarray, "v 3"]:
+        """Those of the nearest Gaussians, without what changes with the view."""
+        gaussians, mesh = self._splats.gaussians(1), self.mesh()
+        points = self._box.to_object(torch.from_numpy(mesh.vertices)).numpy()
+        nearest = KDTree(gaussians.means.cpu().numpy()).query(points)[1]
+        rgb = sh_to_rgb(gaussians.sh, gaussians.means, torch.zeros(3, device=self._device)).clamp(0, 1)
+        return rgb.cpu().numpy()[nearest]
+
+    @torch.no_grad()
+    def render(self, camera: Camera) -> Rendering:
+        gaussians, low_pass = self._splats.gaussians(self._bands), self._config.low_pass_px2
+        return draw_gaussians(self._rasterizer, gaussians, self._box, camera, low_pass, self._device)
+
+    def sizes(self) -> Mapping[str, Any]:
+        return {"faces": len(self.mesh().faces), "gaussians": len(self._splats), "grid": max(self._grid.shape)}
+
+    def about(self) -> Mapping[str, Any]:
+        return {"rasterizer": type(self._rasterizer).__name__}
+
+    @torch.no_grad()
+    def save(self, folder: Path) -> dict[str, Path]:
+        gaussians = self._splats.gaussians(self._bands)
+        means = self._box.to_world(gaussians.means.double()).float()
+        path = folder / GAUSSIANS_NAME
+        write_gaussians_ply(path, replace(gaussians, means=means, scales=gaussians.scales * self._box.scale))
+        return {"gaussians": path}
+
+    @torch.no_grad()
+    def snapshot(self) -> Snapshot | None:
+        mesh = self.mesh()
+        return Snapshot.of_mesh(mesh.vertices, mesh.faces, torch.from_numpy(self.colors()))
+
+    # -- state ---------------------------------------------------------------------------------------------------
+
+    def state(self) -> dict[str, Tensor]:
+        own = {
+            "taken": torch.tensor(self._taken),
+            "order": torch.tensor(self._order, dtype=torch.int64),
+            "random": self._generator.get_state(),
+        }
+        return {name: value.detach().clone().contiguous() for name, value in (self._splats.state() | own).items()}
+
+    def load_state(self, state: Mapping[str, Tensor]) -> None:
+        self._taken, self._order = int(state["taken"]), state["order"].tolist()
+        self._generator.set_state(state["random"].clone())
+        here = {
+            name: value.to(self._device) for name, value in state.items() if name not in ("taken", "order", "random")
+        }
+        self._splats = Splats.of_state(here, self._config.rates)
+        self._mesh = None

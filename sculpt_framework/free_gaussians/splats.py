@@ -1,0 +1,173 @@
+"""Free Gaussians as parameters, and how they multiply (3DGS: Kerbl et al. 2023)."""
+
+from collections.abc import Mapping
+
+import torch
+from jaxtyping import Bool, Float, Int64
+from scipy.spatial import KDTree
+from torch import Tensor, nn
+
+from sculpt_framework.adam import Adam
+from sculpt_framework.export.gaussian_files import rotations_from_quaternions
+from sculpt_framework.free_gaussians.config import DensityConfig, GaussianRates
+from sculpt_framework.parameters import ParameterGroup
+from sculpt_framework.types import Camera, Gaussians
+
+_OPACITY = 0.1
+"""To begin with (3DGS, program)."""
+_SPLIT = 1.6
+"""A Gaussian that is split leaves two, smaller by this (3DGS, 5.2)."""
+_NEIGHBOURS = 3
+"""To begin with, a Gaussian is as large as these are far."""
+_ORDER = ("means", "log_scales", "quaternions", "logits", "constant", "rest")
+
+
+class Splats:
+    """Parameters of any number of Gaussians in the object frame, their optimiser, and what decides of their number."""
+
+    def __init__(self, values: Mapping[str, Tensor], rates: GaussianRates):
+        rate = {
+            "means": rates.means,
+            "log_scales": rates.scales,
+            "quaternions": rates.rotations,
+            "logits": rates.opacities,
+            "constant": rates.colors,
+            "rest": rates.colors / 20,
+        }
+        self._rates = rates
+        self.parameters = {name: nn.Parameter(values[name].detach().clone()) for name in _ORDER}
+        groups = [ParameterGroup(parameters=[self.parameters[name]], rate=rate[name]) for name in _ORDER]
+        # The means have a rate that falls by itself, and so an optimiser of their own.
+        self.means_optimizer, self.optimizer = Adam(groups[:1]), Adam(groups[1:])
+        self.pull = torch.zeros(len(self), device=self.means.device)
+        """Sum of the gradients' lengths by the place in the image since the number was last changed."""
+        self.shown = torch.zeros(len(self), device=self.means.device)
+        """How many renderings they are of."""
+
+    @staticmethod
+    def at_random(
+        half_sides: Float[Tensor, " 3"], count: int, sh_degree: int, rates: GaussianRates, generator: torch.Generator
+    ) -> "Splats":
+        """Grey, uniform in the box around the origin."""
+        means = (2 * torch.rand(count, 3, generator=generator) - 1) * half_sides.float().cpu()
+        distances = KDTree(means.numpy()).query(means.numpy(), k=_NEIGHBOURS + 1)[0][:, 1:]
+        size = torch.from_numpy(distances.mean(axis=1)).float().clamp(min=1e-6)
+        upright = torch.tensor([1.0, 0.0, 0.0, 0.0]).expand(count, 4)
+        values = {
+            "means": means,
+            "log_scales": size.log()[:, None].expand(count, 3),
+            "quaternions": upright,
+            "logits": torch.full((count,), _OPACITY).logit(),
+            "constant": torch.zeros(count, 1, 3),
+            "rest": torch.zeros(count, (sh_degree + 1) ** 2 - 1, 3),
+        }
+        return Splats({name: value.to(half_sides.device) for name, value in values.items()}, rates)
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+    @property
+    def means(self) -> nn.Parameter:
+        return self.parameters["means"]
+
+    def gaussians(self, bands: int) -> Gaussians:
+        """With so many coefficients of the harmonics."""
+        scales, turns = self.parameters["log_scales"].exp(), self.parameters["quaternions"]
+        # As those bound to faces have it, column 0 is along the thinnest axis; the covariance is the same.
+        order = scales.detach().argsort(dim=1)
+        length = turns.norm(dim=1, keepdim=True)
+        rotations = rotations_from_quaternions(turns / torch.where(length > 0, length, 1.0))
+        return Gaussians(
+            means=self.means,
+            scales=scales.gather(1, order),
+            rotations=rotations.gather(2, order[:, None].expand(-1, 3, -1)),
+            opacities=self.parameters["logits"].sigmoid(),
+            sh=torch.cat([self.parameters["constant"], self.parameters["rest"]], dim=1)[:, :bands],
+            face=torch.full((len(self),), -1, dtype=torch.int64, device=self.means.device),
+        )
+
+    def note(self, camera: Camera) -> None:
+        """Add the gradient that the means have from a rendering for this camera, as it is by places in half images.
+
+        Across the line of sight, a step of z / f in space is one of a pixel; 3DGS takes the length in units in which
+        the image is two wide.
+        """
+        slope = self.means.grad
+        if slope is None:
+            return
+        pose = camera.world_to_camera.to(slope)
+        across, depth = slope @ pose[:2, :3].T, self.means.detach() @ pose[2, :3] + pose[2, 3]
+        size = slope.new_tensor([camera.width / (2 * camera.fx), camera.height / (2 * camera.fy)])
+        length = (across * size).norm(dim=1) * depth.clamp(min=0)
+        seen = slope.abs().amax(dim=1) > 0
+        self.pull += torch.where(seen, length, 0.0)
+        self.shown += seen
+
+    def step(self, rate: float, means_rate: float) -> None:
+        self.means_optimizer.step(means_rate)
+        self.optimizer.step(rate)
+
+    def zero_grad(self) -> None:
+        self.means_optimizer.zero_grad()
+        self.optimizer.zero_grad()
+
+    def state(self) -> dict[str, Tensor]:
+        values: dict[str, Tensor] = dict(self.parameters)
+        values |= {f"means_optimizer.{name}": value for name, value in self.means_optimizer.state().items()}
+        values |= {f"optimizer.{name}": value for name, value in self.optimizer.state().items()}
+        return values | {"pull": self.pull, "shown": self.shown}
+
+    @staticmethod
+    def of_state(state: Mapping[str, Tensor], rates: GaussianRates) -> "Splats":
+        splats = Splats(state, rates)
+        splats.means_optimizer.load_state(_part(state, "means_optimizer."))
+        splats.optimizer.load_state(_part(state, "optimizer."))
+        splats.pull, splats.shown = state["pull"].clone(), state["shown"].clone()
+        return splats
+
+    @torch.no_grad()
+    def renewed(self, config: DensityConfig, generator: torch.Generator) -> "Splats":
+        """What is left of them, and what is added: those that the images pull at are cloned where they are small, and
+        split in two where they are large; what is nearly clear is dropped (3DGS, 5.2)."""
+        mean = self.pull / self.shown.clamp(min=1)
+        wanted = mean >= config.gradient
+        if room := max(0, config.most - len(self)):
+            # The strongest first, where there is not room for all.
+            limit = mean.topk(min(room, len(self))).values.min()
+            wanted &= mean >= limit
+        else:
+            wanted[:] = False
+        scales = self.parameters["log_scales"].exp()
+        large = scales.amax(dim=1) > config.large
+        clones, splits = wanted & ~large, wanted & large
+        kept = ~splits & (self.parameters["logits"].sigmoid() >= config.least_opacity)
+        rows = torch.cat([kept.nonzero()[:, 0], clones.nonzero()[:, 0], splits.nonzero()[:, 0].repeat(2)])
+        values = {name: parameter[rows].clone() for name, parameter in self.parameters.items()}
+        if halves := 2 * int(splits.sum()):
+            noise = torch.randn(halves, 3, generator=generator).to(scales)
+            turns = values["quaternions"][-halves:]
+            turned = rotations_from_quaternions(turns / turns.norm(dim=1, keepdim=True).clamp(min=1e-12))
+            offset = torch.einsum("gij,gj->gi", turned, noise * scales[rows[-halves:]])
+            values["means"][-halves:] += offset
+            values["log_scales"][-halves:] -= torch.tensor(_SPLIT).log()
+        splats = Splats(values, self._rates)
+        fresh = torch.arange(len(rows), device=rows.device) >= int(kept.sum())
+        splats.means_optimizer.load_state(_rows(self.means_optimizer.state(), rows, fresh))
+        splats.optimizer.load_state(_rows(self.optimizer.state(), rows, fresh))
+        return splats
+
+
+def _rows(state: Mapping[str, Tensor], rows: Int64[Tensor, " n"], fresh: Bool[Tensor, " n"]) -> dict[str, Tensor]:
+    """An optimiser's state for these rows; what is new has no moments yet."""
+    found = {}
+    for name, value in state.items():
+        if value.ndim == 0:
+            found[name] = value
+        else:
+            found[name] = value[rows].clone()
+            found[name][fresh] = 0
+    return found
+
+
+def _part(state: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
+    return {name.removeprefix(prefix): value for name, value in state.items() if name.startswith(prefix)}

@@ -1,0 +1,195 @@
+"""What methods that render a volume along rays do alike: learning, rendering, meshing, keeping their state."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save
+from torch import Tensor
+from torch.nn import functional
+
+from sculpt_framework.adam import Adam
+from sculpt_framework.device import pick_device
+from sculpt_framework.errors import CheckpointError, DataError
+from sculpt_framework.evaluation.extracted import world_mesh
+from sculpt_framework.evaluation.mesh import Mesh
+from sculpt_framework.export.atomic import write_atomically
+from sculpt_framework.geometry.grid import grid_over_box
+from sculpt_framework.posed_images.training_images import prepare_images
+from sculpt_framework.reconstructor import Host, Moment, Reconstructor, StepReport
+from sculpt_framework.types import Box, Camera, Rendering, Scene
+from sculpt_framework.volume_rendering.config import VolumeConfig
+from sculpt_framework.volume_rendering.occupancy import Occupancy
+from sculpt_framework.volume_rendering.pixels import Pixels, rays_of
+from sculpt_framework.volume_rendering.stretches import stretches_of
+from sculpt_framework.volume_rendering.volume import Volume, look_along
+
+FILE_NAME = "volume.safetensors"
+_LOOK_EVERY = 16
+"""Steps between looks at where something may be."""
+_LEVEL = 2
+"""Of the mesh's grid: cells four times as wide are looked at first."""
+_RAYS_AT_ONCE, _POINTS_AT_ONCE = 1 << 14, 1 << 18
+
+
+class VolumeReconstructor(Reconstructor):
+    """Draws pixels at random and moves the volume's parameters by Adam until they look right."""
+
+    def __init__(self, config: VolumeConfig, scene: Scene, host: Host):
+        self._config, self._box, self._host = config, scene.box, host
+        self._device = pick_device(config.device)
+        self._generator = torch.Generator().manual_seed(config.seed)
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(config.seed)
+            self._volume = config.build_volume().to(self._device)
+        self._optimizer = Adam(list(self._volume.parameter_groups()), betas=(0.9, 0.99))
+        self._occupancy = occupancy_of(config, scene.box, self._device)
+        self._grid = grid_over_box(scene.box.half_sides.float(), config.mesh_cells >> _LEVEL, _LEVEL)
+        self._step = 2.0 / config.steps_across
+        self._pixels: Pixels | None = None
+        self._mesh: Mesh | None = None
+        self._faces = 0
+        """Of the mesh that was asked for last."""
+
+    # -- learning ------------------------------------------------------------------------------------------------
+
+    def begin(self) -> None:
+        self._look()
+
+    def step(self, moment: Moment) -> StepReport:
+        config, random = self._config, self._generator
+        pixels = self._training_pixels().draw(config.rays, random)
+        jitter = torch.rand(config.rays, generator=random).to(self._device)
+        stretches = stretches_of(pixels.rays, self._occupancy.cells, self._step, jitter)
+        seen = look_along(self._volume, pixels.rays, stretches)
+        terms = self._volume.loss(seen, pixels, pixels.rays, stretches, random)
+        if config.mask_weight > 0:
+            alpha = seen.alpha.clamp(1e-4, 1 - 1e-4)
+            terms["mask"] = config.mask_weight * functional.binary_cross_entropy(alpha, pixels.alpha)
+        loss = torch.stack(list(terms.values())).sum()
+        if not torch.isfinite(loss):
+            raise FloatingPointError(f"the loss is {float(loss)}")
+        self._optimizer.zero_grad()
+        loss.backward()
+        self._optimizer.step(moment.rate * config.final_rate**moment.progress)
+        self._mesh = None
+        if (moment.step + 1) % _LOOK_EVERY == 0:
+            self._look()
+        told = {name: float(term.detach()) for name, term in terms.items()}
+        facts = {"stretches": len(stretches), **self._volume.facts()}
+        return StepReport(loss=float(loss.detach()), terms=told, faces=self._faces, facts=facts)
+
+    def _training_pixels(self) -> Pixels:
+        if self._pixels is None:
+            if missing := [view.name for view in self._host.views if view.alpha is None]:
+                raise DataError(
+                    f"{self._config.method} learns from images with masks, and {len(missing)} of "
+                    f"{len(self._host.views)} have none, {missing[0]} among them. Add masks, or use gaussian-sculpting."
+                )
+            self._pixels = Pixels(prepare_images(self._host.views, self._box, 1.0, self._device))
+        return self._pixels
+
+    def _look(self) -> None:
+        self._occupancy.look(
+            lambda points, radius: self._volume.most_opaque(points, radius, self._step), self._generator
+        )
+
+    # -- what can be seen of it ----------------------------------------------------------------------------------
+
+    @torch.no_grad()
+    def mesh(self) -> Mesh:
+        if self._mesh is None:
+            extractor = self._config.extractor.build(self._grid, self._device)
+            level, seeds = self._volume.surface(self._grid, self._occupancy.cells)
+            self._mesh = world_mesh(extractor.extract(level, seeds).surface, self._box)[0]
+            self._faces = len(self._mesh.faces)
+        return self._mesh
+
+    @torch.no_grad()
+    def colors(self) -> Float[np.ndarray, "v 3"]:
+        """As seen along the normals."""
+        mesh = self.mesh()
+        normals = np.zeros_like(mesh.vertices)
+        for corner in range(3):
+            np.add.at(normals, mesh.faces[:, corner], mesh.area_vectors)
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+        points = self._box.to_object(torch.from_numpy(mesh.vertices)).float().to(self._device)
+        inward = torch.from_numpy(-normals).float().to(self._device)
+        both = zip(points.split(_POINTS_AT_ONCE), inward.split(_POINTS_AT_ONCE), strict=True)
+        return torch.cat([self._volume.colors(*part) for part in both]).cpu().numpy()
+
+    def render(self, camera: Camera) -> Rendering:
+        return draw_volume(self._volume, self._occupancy, self._step, self._box, camera, self._device)
+
+    def sizes(self) -> Mapping[str, Any]:
+        return {"faces": len(self.mesh().faces), "grid": max(self._grid.shape)}
+
+    # -- state ---------------------------------------------------------------------------------------------------
+
+    def state(self) -> dict[str, Tensor]:
+        volume = {f"volume/{name}": value for name, value in self._volume.state_dict().items()}
+        optimizer = {f"optimizer/{name}": value for name, value in self._optimizer.state().items()}
+        own = {"opacity": self._occupancy.opacity, "random": self._generator.get_state()}
+        return {name: value.detach().clone().contiguous() for name, value in (volume | optimizer | own).items()}
+
+    def load_state(self, state: Mapping[str, Tensor]) -> None:
+        def part(prefix: str) -> dict[str, Tensor]:
+            return {name.removeprefix(prefix): value for name, value in state.items() if name.startswith(prefix)}
+
+        self._volume.load_state_dict(part("volume/"))
+        self._optimizer.load_state(part("optimizer/"))
+        self._occupancy.opacity = state["opacity"].to(self._device).clone()
+        self._generator.set_state(state["random"].clone())
+        self._mesh = None
+
+    def save(self, folder: Path) -> dict[str, Path]:
+        kept = {"opacity": self._occupancy.opacity, **self._volume.state_dict()}
+        path = folder / FILE_NAME
+        write_atomically(path, save({name: value.cpu().contiguous() for name, value in kept.items()}))
+        return {"volume": path}
+
+
+@torch.no_grad()
+def draw_volume(
+    volume: Volume, occupancy: Occupancy, step: float, box: Box, camera: Camera, device: torch.device
+) -> Rendering:
+    """On white, from a camera in world frame; the volume is in the object frame of ``box``."""
+    local = box.camera_to_object(camera).to(device, torch.float32)
+    cells, parts = occupancy.cells, []
+    for first in range(0, camera.width * camera.height, _RAYS_AT_ONCE):
+        rays = rays_of(local, first, min(first + _RAYS_AT_ONCE, camera.width * camera.height))
+        parts.append(look_along(volume, rays, stretches_of(rays, cells, step)))
+    alpha = torch.cat([part.alpha for part in parts])
+    rgb = torch.cat([part.rgb for part in parts]) + (1 - alpha)[:, None]
+    # Of distances along rays, the camera's own z.
+    every = rays_of(local, 0, camera.width * camera.height)
+    ahead = every.directions @ local.world_to_camera[2, :3]
+    shape = (camera.height, camera.width)
+    depth = torch.cat([part.depth for part in parts]) * ahead
+    return Rendering(rgb=rgb.reshape(*shape, 3), alpha=alpha.reshape(shape), depth=depth.reshape(shape))
+
+
+def draw_saved_volume(config: VolumeConfig, folder: Path, scene: Scene) -> Callable[[Camera], Rendering]:
+    """Of a finished run. Raises CheckpointError if the run has not left its volume."""
+    path, device = folder / FILE_NAME, pick_device(config.device)
+    volume, occupancy = config.build_volume(), occupancy_of(config, scene.box, device)
+    try:
+        kept = load_file(path)
+        occupancy.opacity = kept.pop("opacity").to(device)
+        volume.load_state_dict(kept)
+    except (OSError, KeyError, RuntimeError, SafetensorError) as error:
+        raise CheckpointError(
+            f"{path} is not there, or not of this config ({type(error).__name__}). If the run has not finished, go on "
+            f"with --resume {folder}"
+        ) from error
+    volume, step = volume.to(device), 2.0 / config.steps_across
+    return lambda camera: draw_volume(volume, occupancy, step, scene.box, camera, device)
+
+
+def occupancy_of(config: VolumeConfig, box: Box, device: torch.device) -> Occupancy:
+    """All of the box occupied."""
+    return Occupancy(box.half_sides.float(), config.cells, device)

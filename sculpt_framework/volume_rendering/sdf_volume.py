@@ -1,0 +1,77 @@
+"""A signed distance field as a volume: what NeuS and VolSDF have in common."""
+
+import torch
+from jaxtyping import Float, Int64
+from torch import Tensor
+
+from sculpt_framework.geometry.band import discover
+from sculpt_framework.geometry.grid import Grid
+from sculpt_framework.geometry.signed_distance import SdfFunction
+from sculpt_framework.parameters import ParameterGroup
+from sculpt_framework.volume_rendering.config import SdfVolumeConfig
+from sculpt_framework.volume_rendering.pixels import PixelBatch
+from sculpt_framework.volume_rendering.radiance import RadianceField
+from sculpt_framework.volume_rendering.stretches import OccupiedCells, Rays, Stretches
+from sculpt_framework.volume_rendering.volume import Seen, Volume
+
+_STEEPEST = 2.0
+"""While it is learned, the field is only roughly a distance: it may change by so much per unit of length."""
+_EIKONAL_POINTS = 2048
+"""Of either kind, on the rays and anywhere in the box."""
+
+
+class SdfVolume(Volume):
+    """A field, a radiance field beside it, and the eikonal term."""
+
+    def __init__(self, config: SdfVolumeConfig):
+        super().__init__()
+        self._eikonal_weight = config.eikonal_weight
+        self._spacing = 2.0 / config.mesh_cells
+        self.field = config.field.build(torch.device("cpu"))
+        self.field.set_detail(self._spacing)
+        self._radiance = RadianceField(config.radiance)
+
+    def colors(self, points: Float[Tensor, "n 3"], directions: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+        return self._radiance(points, directions)
+
+    def surface(self, grid: Grid, cells: OccupiedCells) -> tuple[SdfFunction, Int64[Tensor, " s"]]:
+        device = cells.occupied.device
+        return self.field, discover(self.field, grid, coarse_level=0, lipschitz=_STEEPEST, device=device)
+
+    def parameter_groups(self) -> list[ParameterGroup]:
+        return [*self.field.parameter_groups(), *self._radiance.parameter_groups()]
+
+    def loss(
+        self, seen: Seen, pixels: PixelBatch, rays: Rays, stretches: Stretches, generator: torch.Generator
+    ) -> dict[str, Float[Tensor, ""]]:
+        terms = super().loss(seen, pixels, rays, stretches, generator)
+        if self._eikonal_weight > 0:
+            device = rays.origins.device
+            points = 2 * torch.rand(_EIKONAL_POINTS, 3, generator=generator).to(device) - 1
+            if len(stretches):
+                chosen = torch.randint(len(stretches), (_EIKONAL_POINTS,), generator=generator).to(device)
+                middle = stretches.begin[chosen] + 0.5 * stretches.step
+                points = torch.cat([points, stretches.at(rays, stretches.ray[chosen], middle)])
+            terms["eikonal"] = self._eikonal_weight * eikonal(slopes(self.field, points, self._spacing))
+        return terms
+
+
+def nearest(sdf: Float[Tensor, " n"], radius: float) -> Float[Tensor, " n"]:
+    """About the distance nearest to 0 within ``radius`` of places with these."""
+    return sdf.sign() * (sdf.abs() - radius).clamp(min=0)
+
+
+def slopes(field: torch.nn.Module, points: Float[Tensor, "n 3"], spacing: float) -> Float[Tensor, "n 3"]:
+    """The gradient of a field by central differences over ``spacing``: differentiable once more whatever the field,
+    and blind to what is finer (Li et al. 2023, Neuralangelo)."""
+    offsets = 0.5 * spacing * torch.eye(3, device=points.device, dtype=points.dtype)
+    around = points[None, None] + torch.stack([offsets, -offsets])[:, :, None]
+    ahead, behind = field(around.reshape(-1, 3)).reshape(2, 3, len(points))
+    return ((ahead - behind) / spacing).T
+
+
+def eikonal(slope: Float[Tensor, "n 3"]) -> Float[Tensor, ""]:
+    """Mean squared difference of its length from 1. A slope of zero has no direction and gets no gradient."""
+    squared = slope.square().sum(dim=1)
+    length = torch.where(squared > 0, squared, 1.0).sqrt()
+    return (torch.where(squared > 0, length, 0.0) - 1).square().mean()

@@ -1,0 +1,84 @@
+"""A volume that is seen along rays, and what rays bring of it."""
+
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from jaxtyping import Bool, Float, Int64
+from torch import Tensor, nn
+
+from sculpt_framework.geometry.grid import Grid
+from sculpt_framework.geometry.signed_distance import SdfFunction
+from sculpt_framework.parameters import ParameterGroup
+from sculpt_framework.volume_rendering.pixels import PixelBatch
+from sculpt_framework.volume_rendering.stretches import OccupiedCells, Rays, Stretches
+from sculpt_framework.volume_rendering.weights import add_up, weigh
+
+DARK = 1e-4
+"""Share of a ray's light below which what lies behind is not asked for its colour."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Seen:
+    """What rays bring, over nothing."""
+
+    rgb: Float[Tensor, "r 3"]
+    alpha: Float[Tensor, " r"]
+    depth: Float[Tensor, " r"]
+    """Distance from the origin, times alpha."""
+
+
+class Volume(nn.Module):
+    """A shape that is seen along rays, and its colours. All in the object frame."""
+
+    @abstractmethod
+    def alphas(self, rays: Rays, stretches: Stretches) -> Float[Tensor, " n"]:
+        """The opacity of each stretch, in [0, 1]."""
+
+    @abstractmethod
+    def colors(self, points: Float[Tensor, "n 3"], directions: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+        """sRGB in [0, 1] of places, seen along unit directions."""
+
+    @abstractmethod
+    def most_opaque(self, points: Float[Tensor, "n 3"], radius: float, step: float) -> Float[Tensor, " n"]:
+        """About the largest opacity of a step within ``radius`` of each point; 0 where no light gets to."""
+
+    @abstractmethod
+    def surface(self, grid: Grid, cells: OccupiedCells) -> tuple[SdfFunction, Int64[Tensor, " s"]]:
+        """What is below 0 inside of the shape, and the keys, ascending, of the grid's cells that its zero may pass
+        through: none may be left out."""
+
+    @abstractmethod
+    def parameter_groups(self) -> Sequence[ParameterGroup]: ...
+
+    def loss(
+        self, seen: Seen, pixels: PixelBatch, rays: Rays, stretches: Stretches, generator: torch.Generator
+    ) -> dict[str, Float[Tensor, ""]]:
+        """Terms, by name, whose sum is learned from, beside that of the masks. Colours are premultiplied."""
+        return {"color": (seen.rgb - pixels.premultiplied).abs().mean()}
+
+    def facts(self) -> Mapping[str, Any]:
+        """What is told of a step besides, as JSON values."""
+        return {}
+
+
+def look_along(volume: Volume, rays: Rays, stretches: Stretches) -> Seen:
+    """Render rays. Colours are asked for where light still arrives."""
+    weights, through = weigh(volume.alphas(rays, stretches), stretches)
+    lit = _lit(weights.detach(), stretches)
+    ray, middle = stretches.ray[lit], stretches.begin[lit] + 0.5 * stretches.step
+    points = rays.origins.index_select(0, ray) + middle[:, None] * rays.directions.index_select(0, ray)
+    colors = volume.colors(points, rays.directions.index_select(0, ray))
+    counts = torch.bincount(ray, minlength=len(rays))
+    offsets = torch.cat([counts.new_zeros(1), counts.cumsum(0)])
+    brought = add_up(weights[lit], torch.cat([colors, middle[:, None]], dim=1), offsets)
+    return Seen(rgb=brought[:, :3], alpha=1 - through, depth=brought[:, 3])
+
+
+def _lit(weights: Float[Tensor, " n"], stretches: Stretches) -> Bool[Tensor, " n"]:
+    """Stretches at which more than a trace of the ray's light arrives."""
+    before = weights.double().cumsum(0) - weights
+    start = torch.cat([before, before.new_zeros(1)])[stretches.offsets[:-1]]
+    return 1 - (before - start[stretches.ray]) > DARK

@@ -14,7 +14,7 @@ from sculpt_plugins.methods.volsdf.config import VolsdfConfig
 from sculpt_plugins.observers.console.config import ConsoleConfig
 from sculpt_plugins.observers.recorder.config import RecorderConfig
 
-_STEPS = 2000
+_STEPS, _FIELD_RATE = 2000, 8e-3
 
 
 def nerf() -> NerfConfig:
@@ -22,6 +22,7 @@ def nerf() -> NerfConfig:
     return NerfConfig(
         method="nerf",
         steps=_STEPS,
+        mask_weight=0.0,  # it has no such term
         # Density, too, is decoded from this grid.
         radiance=RadianceConfig(rate=5e-2, decoder_rate=5e-3),
         extractor=MarchingTetrahedraConfig(),
@@ -37,7 +38,9 @@ def neus() -> NeusConfig:
         steps=_STEPS,
         eikonal_weight=0.1,  # 4.1, lambda
         mask_weight=0.1,  # 4.1, beta, with masks
-        field=HashGridFieldConfig(),
+        sharpness=60.0,  # program: 20; ours is not as far from sharp in a hundredth of the steps
+        sharpness_rate=3e-3,
+        field=HashGridFieldConfig(rate=_FIELD_RATE),
         extractor=MarchingTetrahedraConfig(),
         dataset=AutoDatasetConfig(),
         observers=(ConsoleConfig(), RecorderConfig()),
@@ -51,8 +54,9 @@ def volsdf() -> VolsdfConfig:
         steps=_STEPS,
         rays=1024,  # supplementary B.2
         beta=0.1,  # supplementary B.1
+        beta_rate=2e-2,
         eikonal_weight=0.1,  # 3.4, lambda
-        field=HashGridFieldConfig(),
+        field=HashGridFieldConfig(rate=_FIELD_RATE),
         extractor=MarchingTetrahedraConfig(),
         dataset=AutoDatasetConfig(),
         observers=(ConsoleConfig(), RecorderConfig()),

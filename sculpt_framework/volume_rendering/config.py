@@ -49,7 +49,7 @@ class VolumeConfig(MethodConfig, ABC):
     """Of the grid the mesh is extracted on, along the box's longest side; rounded down to a multiple of four."""
     mask_weight: Annotated[float, at_least(0)] = 0.1
     """Factor of the cross entropy between masks and what rays meet."""
-    final_rate: Annotated[float, above(0, at_most=1)] = 0.05
+    final_rate: Annotated[float, above(0, at_most=1)] = 0.2
     """Learning rates end at this share of themselves."""
     radiance: RadianceConfig = RadianceConfig()
     extractor: ExtractorConfig

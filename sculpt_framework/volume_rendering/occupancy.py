@@ -12,7 +12,7 @@ from sculpt_framework.volume_rendering.stretches import OccupiedCells
 
 LEAST_OPACITY = 1e-3
 """Of a step: cells with less are passed over."""
-_FADING = 0.9
+_FADING = 0.5
 """What was seen in a cell counts by so much less each time it is looked at again."""
 _POINTS = 1 << 18
 
@@ -28,6 +28,7 @@ class Occupancy:
         x, y, z = (max(1, round(2 * float(side) / self._cell + 0.499)) for side in half_sides)
         self._low = (-0.5 * x * self._cell, -0.5 * y * self._cell, -0.5 * z * self._cell)
         self.opacity = torch.ones(x, y, z, device=device)
+        self._looked = False
 
     @property
     def cells(self) -> OccupiedCells:
@@ -43,7 +44,9 @@ class Occupancy:
         points = torch.tensor(self._low) + self._cell * (places + jitter)
         radius = 0.5 * 3**0.5 * self._cell
         seen = torch.cat([most(part.to(self.opacity.device), radius) for part in points.split(_POINTS)])
-        self.opacity = torch.maximum(_FADING * self.opacity, seen.reshape(shape).to(self.opacity))
+        seen = seen.reshape(shape).to(self.opacity)
+        self.opacity = torch.maximum(_FADING * self.opacity, seen) if self._looked else seen
+        self._looked = True
 
 
 def grid_cells_in(grid: Grid, cells: OccupiedCells) -> Int64[Tensor, "c 3"]:

@@ -3,6 +3,7 @@
 from sculpt_framework.free_gaussians.config import DensityConfig, GaussianRates
 from sculpt_plugins.datasets.auto.config import AutoDatasetConfig
 from sculpt_plugins.extractors.marching_tetrahedra.config import MarchingTetrahedraConfig
+from sculpt_plugins.methods.splatting_2d.config import Splatting2dConfig
 from sculpt_plugins.methods.splatting_3d.config import Splatting3dConfig
 from sculpt_plugins.observers.console.config import ConsoleConfig
 from sculpt_plugins.observers.recorder.config import RecorderConfig
@@ -34,4 +35,26 @@ def splatting_3d() -> Splatting3dConfig:
         extractor=MarchingTetrahedraConfig(),
         dataset=AutoDatasetConfig(),
         observers=(ConsoleConfig(), RecorderConfig()),
+    )
+
+
+def splatting_2d() -> Splatting2dConfig:
+    """2D Gaussian splatting, a fifteenth of the paper's steps; its mesh is fused from rendered depths. CPU only."""
+    like = splatting_3d()
+    return Splatting2dConfig(
+        method="splatting-2d",
+        steps=like.steps,
+        start=like.start,
+        sh_degree=like.sh_degree,
+        sh_every=like.sh_every,
+        dssim=like.dssim,
+        density=like.density,  # 5: as 3DGS
+        rates=like.rates,
+        distortion=1000.0,  # 4.2, alpha, of bounded scenes
+        distortion_from=0.1,  # program: step 3000 of 30 000
+        normals=0.05,  # 4.2, beta
+        normals_from=0.23,  # program: step 7000 of 30 000
+        extractor=like.extractor,
+        dataset=like.dataset,
+        observers=like.observers,
     )

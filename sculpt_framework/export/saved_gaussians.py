@@ -29,13 +29,17 @@ def draw_saved_gaussians(
     config: MethodConfig, rasterizer: RasterizerConfig, low_pass_px2: float, folder: Path, scene: Scene
 ) -> Callable[[Camera], Rendering]:
     """Of a finished run. Raises CheckpointError if the run has not left any."""
+    device = pick_device(config.device)
+    gaussians, built = saved_gaussians(folder, scene.box).to(device), rasterizer.build(device)
+    return lambda camera: draw_gaussians(built, gaussians, scene.box, camera, low_pass_px2, device)
+
+
+def saved_gaussians(folder: Path, box: Box) -> Gaussians:
+    """Those of a finished run, in the object frame of ``box``. Raises CheckpointError if it has not left any."""
     path = folder / GAUSSIANS_NAME
     if not path.is_file():
         raise CheckpointError(
             f"{folder} has no {GAUSSIANS_NAME}: the run has not finished; go on with --resume {folder}"
         )
-    world, box = read_gaussians_ply(path), scene.box
-    local = replace(world, means=box.to_object(world.means.double()).float(), scales=world.scales / box.scale)
-    device = pick_device(config.device)
-    gaussians, built = local.to(device), rasterizer.build(device)
-    return lambda camera: draw_gaussians(built, gaussians, box, camera, low_pass_px2, device)
+    world = read_gaussians_ply(path)
+    return replace(world, means=box.to_object(world.means.double()).float(), scales=world.scales / box.scale)

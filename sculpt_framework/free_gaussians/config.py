@@ -1,15 +1,18 @@
 """What methods of free Gaussians have in common."""
 
-from abc import ABC
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from sculpt_framework.config import ExtractorConfig, MethodConfig, RasterizerConfig
+from sculpt_framework.config import ExtractorConfig, MethodConfig
 from sculpt_framework.ranges import above, at_least, between
 
 if TYPE_CHECKING:
+    import torch
+
+    from sculpt_framework.free_gaussians.drawing import Drawing
     from sculpt_framework.reconstructor import Host, Reconstructor
     from sculpt_framework.types import Camera, Rendering, Scene
 
@@ -62,14 +65,19 @@ class FreeGaussiansConfig(MethodConfig, ABC):
     """Steps after which harmonics get another degree."""
     dssim: Annotated[float, between(0, 1)] = 0.2
     """Share of D-SSIM in the loss."""
-    low_pass_px2: Annotated[float, at_least(0)] = 0.3
-    """Variance that every Gaussian gains in the image, square pixels."""
     mesh_cells: Annotated[int, at_least(8)] = 128
     """Of the grid that depths are fused on, along the box's longest side."""
     density: DensityConfig = DensityConfig()
     rates: GaussianRates = GaussianRates()
-    rasterizer: RasterizerConfig
     extractor: ExtractorConfig
+
+    @abstractmethod
+    def build_drawing(self, device: "torch.device") -> "Drawing": ...
+
+    @property
+    def flat(self) -> bool:
+        """Whether Gaussians are disks: one of their sizes is next to nothing then, and is not learned."""
+        return False
 
     def build(self, scene: "Scene", host: "Host") -> "Reconstructor":
         from sculpt_framework.free_gaussians.reconstructor import FreeGaussiansReconstructor
@@ -77,6 +85,6 @@ class FreeGaussiansConfig(MethodConfig, ABC):
         return FreeGaussiansReconstructor(self, scene, host)
 
     def renderer(self, folder: Path, scene: "Scene") -> "Callable[[Camera], Rendering]":
-        from sculpt_framework.export.saved_gaussians import draw_saved_gaussians
+        from sculpt_framework.free_gaussians.reconstructor import draw_saved
 
-        return draw_saved_gaussians(self, self.rasterizer, self.low_pass_px2, folder, scene)
+        return draw_saved(self, folder, scene)

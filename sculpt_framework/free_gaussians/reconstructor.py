@@ -1,6 +1,6 @@
 """Free Gaussians as a session hosts them."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,18 +15,18 @@ from sculpt_framework.device import pick_device
 from sculpt_framework.evaluation.extracted import world_mesh
 from sculpt_framework.evaluation.mesh import Mesh
 from sculpt_framework.export.gaussian_files import write_gaussians_ply
-from sculpt_framework.export.saved_gaussians import GAUSSIANS_NAME, draw_gaussians
+from sculpt_framework.export.saved_gaussians import GAUSSIANS_NAME, saved_gaussians
 from sculpt_framework.free_gaussians.config import FreeGaussiansConfig
+from sculpt_framework.free_gaussians.drawing import on_white
 from sculpt_framework.free_gaussians.splats import Splats
 from sculpt_framework.geometry.grid import grid_over_box
 from sculpt_framework.losses import TrainingImage
 from sculpt_framework.posed_images.training_images import prepare_images
 from sculpt_framework.reconstructor import Host, Moment, Reconstructor, StepReport
-from sculpt_framework.rendering.photometric import l1_dssim
 from sculpt_framework.rendering.spherical_harmonics import sh_to_rgb
 from sculpt_framework.shape_from_images.tsdf import fuse_renderings, surface_of
 from sculpt_framework.snapshot import Snapshot
-from sculpt_framework.types import Camera, Gaussians, Rendering, Scene
+from sculpt_framework.types import Camera, Rendering, Scene
 
 _LAST_MEANS_RATE = 0.01
 """Of the means, the share that their learning rate ends at (3DGS, program)."""
@@ -39,15 +39,19 @@ class FreeGaussiansReconstructor(Reconstructor):
         self._config, self._box, self._host = config, scene.box, host
         self._device = pick_device(config.device)
         self._generator = torch.Generator().manual_seed(config.seed)
-        self._rasterizer = config.rasterizer.build(self._device)
+        self._drawing = config.build_drawing(self._device)
         self._grid = grid_over_box(scene.box.half_sides.float(), config.mesh_cells)
         self._images: list[TrainingImage] = []
         self._order: list[int] = []
         """Views that are still to come before each has been looked at again."""
         half_sides = scene.box.half_sides.to(self._device)
-        self._splats = Splats.at_random(half_sides, config.start, config.sh_degree, config.rates, self._generator)
+        self._splats = Splats.at_random(
+            half_sides, config.start, config.sh_degree, config.rates, self._generator, flat=config.flat
+        )
         self._taken = 0
         self._mesh: Mesh | None = None
+        self._faces = 0
+        """Of the mesh that was asked for last."""
 
     # -- learning ------------------------------------------------------------------------------------------------
 
@@ -57,11 +61,9 @@ class FreeGaussiansReconstructor(Reconstructor):
     def step(self, moment: Moment) -> StepReport:
         config, splats, image = self._config, self._splats, self._next_image()
         background = torch.rand(3, generator=self._generator).to(self._device)
-        target = image.over(background)
-        rendering = self._rasterizer.render(
-            splats.gaussians(self._bands), image.camera, background, low_pass_px2=config.low_pass_px2
-        )
-        loss = l1_dssim(rendering.rgb, target.rgb, config.dssim)
+        gaussians, target = splats.gaussians(self._bands), image.over(background)
+        terms = self._drawing.terms(gaussians, image.camera, background, target, moment.progress)
+        loss = torch.stack(list(terms.values())).sum()
         if not torch.isfinite(loss):
             raise FloatingPointError(f"the loss is {float(loss.detach())}")
         splats.zero_grad()
@@ -73,8 +75,9 @@ class FreeGaussiansReconstructor(Reconstructor):
         density = config.density
         if density.begin <= moment.progress < density.end and self._taken % density.every == 0:
             self._splats = splats.renewed(density, self._generator)
-        value = float(loss.detach())
-        return StepReport(loss=value, terms={"color": value}, faces=0, facts={"gaussians": len(self._splats)})
+        told = {name: float(term.detach()) for name, term in terms.items()}
+        facts = {"gaussians": len(self._splats)}
+        return StepReport(loss=float(loss.detach()), terms=told, faces=self._faces, facts=facts)
 
     @property
     def _bands(self) -> int:
@@ -97,15 +100,12 @@ class FreeGaussiansReconstructor(Reconstructor):
             cameras = [
                 self._box.camera_to_object(view.camera).to(self._device, torch.float32) for view in self._host.views
             ]
-            seen = ((camera, self._draw(gaussians, camera)) for camera in cameras)
+            seen = ((camera, on_white(self._drawing, gaussians, camera)) for camera in cameras)
             level, seeds = surface_of(fuse_renderings(seen, self._grid), self._grid, self._device)
             extractor = self._config.extractor.build(self._grid, self._device)
             self._mesh = world_mesh(extractor.extract(level, seeds).surface, self._box)[0]
+            self._faces = len(self._mesh.faces)
         return self._mesh
-
-    def _draw(self, gaussians: Gaussians, camera: Camera) -> Rendering:
-        white = torch.ones(3, device=self._device)
-        return self._rasterizer.render(gaussians, camera, white, low_pass_px2=self._config.low_pass_px2)
 
     @torch.no_grad()
     def colors(self) -> Float[np.ndarray, "v 3"]:
@@ -118,14 +118,11 @@ class FreeGaussiansReconstructor(Reconstructor):
 
     @torch.no_grad()
     def render(self, camera: Camera) -> Rendering:
-        gaussians, low_pass = self._splats.gaussians(self._bands), self._config.low_pass_px2
-        return draw_gaussians(self._rasterizer, gaussians, self._box, camera, low_pass, self._device)
+        local = self._box.camera_to_object(camera).to(self._device, torch.float32)
+        return on_white(self._drawing, self._splats.gaussians(self._bands), local)
 
     def sizes(self) -> Mapping[str, Any]:
         return {"faces": len(self.mesh().faces), "gaussians": len(self._splats), "grid": max(self._grid.shape)}
-
-    def about(self) -> Mapping[str, Any]:
-        return {"rasterizer": type(self._rasterizer).__name__}
 
     @torch.no_grad()
     def save(self, folder: Path) -> dict[str, Path]:
@@ -158,3 +155,10 @@ class FreeGaussiansReconstructor(Reconstructor):
         }
         self._splats = Splats.of_state(here, self._config.rates)
         self._mesh = None
+
+
+def draw_saved(config: FreeGaussiansConfig, folder: Path, scene: Scene) -> Callable[[Camera], Rendering]:
+    """Of a finished run. Raises CheckpointError if the run has not left any Gaussians."""
+    device = pick_device(config.device)
+    drawing, gaussians = config.build_drawing(device), saved_gaussians(folder, scene.box).to(device)
+    return lambda camera: on_white(drawing, gaussians, scene.box.camera_to_object(camera).to(device, torch.float32))

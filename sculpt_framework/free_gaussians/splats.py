@@ -1,5 +1,6 @@
 """Free Gaussians as parameters, and how they multiply (3DGS: Kerbl et al. 2023)."""
 
+import math
 from collections.abc import Mapping
 
 import torch
@@ -17,6 +18,8 @@ _OPACITY = 0.1
 """To begin with (3DGS, program)."""
 _SPLIT = 1.6
 """A Gaussian that is split leaves two, smaller by this (3DGS, 5.2)."""
+_FLAT = 1e-6
+"""Object units: the thickness of a disk."""
 _NEIGHBOURS = 3
 """To begin with, a Gaussian is as large as these are far."""
 _ORDER = ("means", "log_scales", "quaternions", "logits", "constant", "rest")
@@ -46,16 +49,25 @@ class Splats:
 
     @staticmethod
     def at_random(
-        half_sides: Float[Tensor, " 3"], count: int, sh_degree: int, rates: GaussianRates, generator: torch.Generator
+        half_sides: Float[Tensor, " 3"],
+        count: int,
+        sh_degree: int,
+        rates: GaussianRates,
+        generator: torch.Generator,
+        *,
+        flat: bool = False,
     ) -> "Splats":
-        """Grey, uniform in the box around the origin."""
+        """Grey, uniform in the box around the origin; disks that face up where they are ``flat``."""
         means = (2 * torch.rand(count, 3, generator=generator) - 1) * half_sides.float().cpu()
         distances = KDTree(means.numpy()).query(means.numpy(), k=_NEIGHBOURS + 1)[0][:, 1:]
         size = torch.from_numpy(distances.mean(axis=1)).float().clamp(min=1e-6)
+        log_scales = size.log()[:, None].repeat(1, 3)
+        if flat:
+            log_scales[:, 2] = math.log(_FLAT)
         upright = torch.tensor([1.0, 0.0, 0.0, 0.0]).expand(count, 4)
         values = {
             "means": means,
-            "log_scales": size.log()[:, None].expand(count, 3),
+            "log_scales": log_scales,
             "quaternions": upright,
             "logits": torch.full((count,), _OPACITY).logit(),
             "constant": torch.zeros(count, 1, 3),

@@ -28,16 +28,17 @@ class Occupancy:
         x, y, z = (max(1, round(2 * float(side) / self._cell + 0.499)) for side in half_sides)
         self._low = (-0.5 * x * self._cell, -0.5 * y * self._cell, -0.5 * z * self._cell)
         self.opacity = torch.ones(x, y, z, device=device)
-        self._looked = False
 
     @property
     def cells(self) -> OccupiedCells:
         return OccupiedCells(occupied=self.opacity > LEAST_OPACITY, low=self._low, cell=self._cell)
 
     @torch.no_grad()
-    def look(self, most: Callable[[Tensor, float], Tensor], generator: torch.Generator) -> None:
+    def look(
+        self, most: Callable[[Tensor, float], Tensor], generator: torch.Generator, *, afresh: bool = False
+    ) -> None:
         """Ask anew for the opacity of a step: ``most(points, radius)`` is the largest that may be found as near to each
-        of the points as that."""
+        of the points as that. ``afresh`` forgets what was seen before."""
         shape = self.opacity.shape
         places = torch.cartesian_prod(*(torch.arange(n) for n in shape))
         jitter = torch.rand(len(places), 3, generator=generator)
@@ -45,8 +46,7 @@ class Occupancy:
         radius = 0.5 * 3**0.5 * self._cell
         seen = torch.cat([most(part.to(self.opacity.device), radius) for part in points.split(_POINTS)])
         seen = seen.reshape(shape).to(self.opacity)
-        self.opacity = torch.maximum(_FADING * self.opacity, seen) if self._looked else seen
-        self._looked = True
+        self.opacity = seen if afresh else torch.maximum(_FADING * self.opacity, seen)
 
 
 def grid_cells_in(grid: Grid, cells: OccupiedCells) -> Int64[Tensor, "c 3"]:

@@ -58,7 +58,7 @@ class VolumeReconstructor(Reconstructor):
     # -- learning ------------------------------------------------------------------------------------------------
 
     def begin(self) -> None:
-        self._look()
+        self._look(afresh=True)
 
     def step(self, moment: Moment) -> StepReport:
         config, random = self._config, self._generator
@@ -93,9 +93,9 @@ class VolumeReconstructor(Reconstructor):
             self._pixels = Pixels(prepare_images(self._host.views, self._box, 1.0, self._device))
         return self._pixels
 
-    def _look(self) -> None:
+    def _look(self, *, afresh: bool = False) -> None:
         self._occupancy.look(
-            lambda points, radius: self._volume.most_opaque(points, radius, self._step), self._generator
+            lambda points, radius: self._volume.most_opaque(points, radius, self._step), self._generator, afresh=afresh
         )
 
     # -- what can be seen of it ----------------------------------------------------------------------------------

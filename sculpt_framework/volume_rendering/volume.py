@@ -1,6 +1,6 @@
 """A volume that is seen along rays, and what rays bring of it."""
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -30,7 +30,7 @@ class Seen:
     """Distance from the origin, times alpha."""
 
 
-class Volume(nn.Module):
+class Volume(nn.Module, ABC):
     """A shape that is seen along rays, and its colours. All in the object frame."""
 
     @abstractmethod

@@ -1,0 +1,117 @@
+"""Flat Gaussians and a camera in, images out, differentiable in the disks: the renderer of 2DGS."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int64
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from sculpt_framework.cpu_kernels import array_of, kernel_cache, share_threads
+from sculpt_framework.rendering.spherical_harmonics import sh_to_rgb
+from sculpt_framework.types import Camera, Gaussians, Rendering
+
+with kernel_cache("disks", Path(__file__).with_name("kernels.py")):
+    from sculpt_plugins.methods.splatting_2d import kernels
+
+_REACH = 3.0
+"""Standard deviations within which a disk is drawn, and pixels of the blur around its centre."""
+_NEAREST = 1e-2
+"""Object units in front of the camera: disks whose centre is nearer are not drawn."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DrawnDisks:
+    """Normals of the rendering face the camera. ``distortion`` is the sum over pairs of w_i w_j (m_i - m_j)^2 (paper,
+    eq. 13, squared as in its program), m the mapped depth."""
+
+    rendering: Rendering
+    distortion: Float[Tensor, "h w"]
+
+
+def draw_disks(gaussians: Gaussians, camera: Camera, background: Float[Tensor, " 3"]) -> DrawnDisks:
+    """The thinnest axis of each Gaussian, column 0, counts for nothing but its normal. On the CPU.
+
+    A disk seen edge on, or smaller than a pixel, is the blur around its centre. Those behind the camera, or with a
+    frame that is not finite, are not drawn and have no gradient.
+    """
+    pose = camera.world_to_camera.to(gaussians.means)
+    rotation, shift = pose[:3, :3], pose[:3, 3]
+    axes = gaussians.rotations[:, :, 1:] * gaussians.scales[:, None, 1:]
+    frames = torch.cat([rotation @ axes, (gaussians.means @ rotation.T + shift)[:, :, None]], dim=2)
+    normals = gaussians.rotations[:, :, 0]
+    away = ((gaussians.means - camera.position.to(normals)) * normals).sum(dim=1, keepdim=True)
+    towards = torch.where(away > 0, -normals, normals)
+    colors = sh_to_rgb(gaussians.sh, gaussians.means, camera.position.to(normals))
+    features = torch.cat([colors, towards], dim=1)
+    out, left, distortion = _Disks.apply(frames, gaussians.opacities, features, camera)
+    rgb = out[..., :3] + left[..., None] * background
+    rendering = Rendering(rgb=rgb, alpha=1 - left, depth=out[..., 6], normal=out[..., 3:6])
+    return DrawnDisks(rendering=rendering, distortion=distortion)
+
+
+class _Disks(torch.autograd.Function):
+    """(features and depth added up, light left, distortion). Not differentiable twice, nor by the camera."""
+
+    @staticmethod
+    def forward(ctx, frames: Tensor, opacities: Tensor, features: Tensor, camera: Camera):
+        share_threads()
+        lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+        columns, rows = -(-camera.width // kernels.TILE), -(-camera.height // kernels.TILE)
+        order, boxes = _tiles(frames.detach(), camera, columns, rows)
+        lists, starts = kernels.tile_lists(order.numpy(), boxes.numpy(), columns, rows)
+        shape = (camera.height, camera.width)
+        out = frames.new_empty(*shape, features.shape[1] + 1)
+        # Their differences are small: in single precision nothing would be left of them.
+        moments = frames.new_empty(*shape, 3, dtype=torch.float64)
+        left, last = frames.new_empty(shape), np.empty(shape, np.int32)
+        limits = array_of(2 * (opacities.double() / kernels.ALPHA_MIN).log())
+        given = (array_of(frames), array_of(opacities), limits, array_of(features), lens, lists, starts, columns)
+        kernels.composite(*given, out.numpy(), moments.numpy(), left.numpy(), last)
+        ctx.save_for_backward(frames, opacities, features, moments, left)
+        ctx.lists = limits, lens, lists, starts, columns, last
+        w0, w1, w2 = moments.unbind(dim=2)
+        return out, left, (w0 * w2 - w1 * w1).to(frames)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx, to_out, to_left, to_distortion):  # pyright: ignore[reportIncompatibleMethodOverride]
+        frames, opacities, features, moments, left = ctx.saved_tensors
+        limits, lens, lists, starts, columns, last = ctx.lists
+        share_threads()
+        to_frames = frames.new_zeros(kernels.BANDS, *frames.shape)
+        to_opacities = opacities.new_zeros(kernels.BANDS, *opacities.shape)
+        to_features = features.new_zeros(kernels.BANDS, *features.shape)
+        kernels.differentiate(
+            array_of(frames), array_of(opacities), limits, array_of(features), lens, lists, starts, columns,
+            array_of(moments), array_of(left), last, array_of(to_out), array_of(to_left), array_of(to_distortion),
+            to_frames.numpy(), to_opacities.numpy(), to_features.numpy(),
+        )  # fmt: skip
+        return to_frames.sum(dim=0), to_opacities.sum(dim=0), to_features.sum(dim=0), None
+
+
+def _tiles(
+    frames: Float[Tensor, "g 3 3"], camera: Camera, columns: int, rows: int
+) -> tuple[Int64[Tensor, " d"], Int64[Tensor, "g 4"]]:
+    """Which disks are drawn, nearest first, and the tiles each may cover: first and last column and row, the last
+    exclusive."""
+    depth = frames[:, 2, 2]
+    drawn = torch.isfinite(frames).all(dim=2).all(dim=1) & (depth > _NEAREST)
+    corner = frames.new_tensor([[-1, -1], [-1, 1], [1, -1], [1, 1]]) * _REACH
+    points = torch.einsum("gij,cj->gci", frames[:, :, :2], corner) + frames[:, None, :, 2]
+    # A corner beside or behind the camera is as far off in the image as one just in front of it.
+    far = points[..., 2].clamp(min=_NEAREST)
+    u, v = points[..., 0] / far * camera.fx + camera.cx, points[..., 1] / far * camera.fy + camera.cy
+    low = torch.stack([u.amin(dim=1), v.amin(dim=1)], dim=1)
+    high = torch.stack([u.amax(dim=1), v.amax(dim=1)], dim=1)
+    middle = frames[:, :2, 2] / depth[:, None]
+    centre = middle * middle.new_tensor([camera.fx, camera.fy]) + middle.new_tensor([camera.cx, camera.cy])
+    low, high = torch.minimum(low, centre - _REACH), torch.maximum(high, centre + _REACH)
+    most = torch.tensor([columns, rows])
+    first = (low / kernels.TILE).floor().nan_to_num(0).clamp(-1e6, 1e6).long().clamp(min=0).minimum(most)
+    last = (high / kernels.TILE).ceil().nan_to_num(0).clamp(-1e6, 1e6).long().clamp(min=0).minimum(most)
+    boxes = torch.stack([first[:, 0], last[:, 0], first[:, 1], last[:, 1]], dim=1)
+    seen = (drawn & (boxes[:, 1] > boxes[:, 0]) & (boxes[:, 3] > boxes[:, 2])).nonzero()[:, 0]
+    return seen[depth[seen].argsort(stable=True)], boxes

@@ -1,0 +1,47 @@
+"""How a method draws its Gaussians, and what it learns from a drawing."""
+
+from abc import ABC, abstractmethod
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from sculpt_framework.losses import Target
+from sculpt_framework.rasterizers import Rasterizer
+from sculpt_framework.rendering.photometric import l1_dssim
+from sculpt_framework.types import Camera, Gaussians, Rendering
+
+Terms = dict[str, Float[Tensor, ""]]
+
+
+class Drawing(ABC):
+    """Gaussians and camera in the object frame."""
+
+    @abstractmethod
+    def draw(self, gaussians: Gaussians, camera: Camera, background: Float[Tensor, " 3"]) -> Rendering: ...
+
+    @abstractmethod
+    def terms(
+        self, gaussians: Gaussians, camera: Camera, background: Float[Tensor, " 3"], target: Target, progress: float
+    ) -> Terms:
+        """What one view is learned from, the sum of which is the loss; ``progress`` is the share of the run done."""
+
+
+class Splatting(Drawing):
+    """By a rasterizer, as ellipsoids; the colour loss of 3DGS."""
+
+    def __init__(self, rasterizer: Rasterizer, low_pass_px2: float, dssim: float):
+        self._rasterizer, self._low_pass, self._dssim = rasterizer, low_pass_px2, dssim
+
+    def draw(self, gaussians: Gaussians, camera: Camera, background: Float[Tensor, " 3"]) -> Rendering:
+        return self._rasterizer.render(gaussians, camera, background, low_pass_px2=self._low_pass)
+
+    def terms(
+        self, gaussians: Gaussians, camera: Camera, background: Float[Tensor, " 3"], target: Target, progress: float
+    ) -> Terms:
+        return {"color": l1_dssim(self.draw(gaussians, camera, background).rgb, target.rgb, self._dssim)}
+
+
+@torch.no_grad()
+def on_white(drawing: Drawing, gaussians: Gaussians, camera: Camera) -> Rendering:
+    return drawing.draw(gaussians, camera, torch.ones(3, device=gaussians.means.device))

@@ -57,8 +57,8 @@ class GaussianRates:
 class FreeGaussiansConfig(MethodConfig, ABC):
     """Gaussians that start at random in the box, one view a step; a mesh by fusing the depths that they show."""
 
-    start: Annotated[int, at_least(4)] = 10_000
-    """Gaussians to begin with."""
+    gaussians: Annotated[int, at_least(4)] = 10_000
+    """How many there are to begin with."""
     sh_degree: Annotated[int, between(0, 3)] = 3
     """Of the spherical harmonics, reached degree by degree."""
     sh_every: Annotated[int, at_least(1)] = 1000

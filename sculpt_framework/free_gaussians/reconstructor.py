@@ -28,12 +28,14 @@ from sculpt_framework.shape_from_images.tsdf import fuse_renderings, surface_of
 from sculpt_framework.snapshot import Snapshot
 from sculpt_framework.types import Camera, Rendering, Scene
 
+_FUSED = 40
+"""Training views whose depths are fused to a mesh, spread evenly over all."""
 _LAST_MEANS_RATE = 0.01
 """Of the means, the share that their learning rate ends at (3DGS, program)."""
 
 
 class FreeGaussiansReconstructor(Reconstructor):
-    """3D Gaussian splatting (Kerbl et al. 2023); a mesh by fusing the depths that the training views see."""
+    """3D Gaussian splatting (Kerbl et al. 2023); a mesh by fusing depths that training views see."""
 
     def __init__(self, config: FreeGaussiansConfig, scene: Scene, host: Host):
         self._config, self._box, self._host = config, scene.box, host
@@ -46,7 +48,7 @@ class FreeGaussiansReconstructor(Reconstructor):
         """Views that are still to come before each has been looked at again."""
         half_sides = scene.box.half_sides.to(self._device)
         self._splats = Splats.at_random(
-            half_sides, config.start, config.sh_degree, config.rates, self._generator, flat=config.flat
+            half_sides, config.gaussians, config.sh_degree, config.rates, self._generator, flat=config.flat
         )
         self._taken = 0
         self._mesh: Mesh | None = None
@@ -96,9 +98,10 @@ class FreeGaussiansReconstructor(Reconstructor):
     def mesh(self) -> Mesh:
         """What no view sees is inside: the mesh is closed by what hides it."""
         if self._mesh is None:
-            gaussians = self._splats.gaussians(1)
+            gaussians, views = self._splats.gaussians(1), self._host.views
+            chosen = np.unique(np.linspace(0, len(views) - 1, _FUSED).round().astype(int))
             cameras = [
-                self._box.camera_to_object(view.camera).to(self._device, torch.float32) for view in self._host.views
+                self._box.camera_to_object(views[index].camera).to(self._device, torch.float32) for index in chosen
             ]
             seen = ((camera, on_white(self._drawing, gaussians, camera)) for camera in cameras)
             level, seeds = surface_of(fuse_renderings(seen, self._grid), self._grid, self._device)

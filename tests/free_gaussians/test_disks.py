@@ -161,7 +161,7 @@ def test_normals_of_a_plane_agree_with_its_disks_and_not_with_others():
 def test_it_learns():
     config = sculpt.methods["splatting-2d"]()
     assert isinstance(config, FreeGaussiansConfig)
-    small = replace(config, steps=150, start=600, mesh_cells=32, density=replace(config.density, every=10))
+    small = replace(config, steps=150, gaussians=600, mesh_cells=32, density=replace(config.density, every=10))
     session = sculpt.Session(small_scene(), replace(small, holdout_every=4))
     session.run()
     assert session.curve[-1]["psnr"] > session.curve[0]["psnr"] + 4

@@ -28,7 +28,7 @@ RATES = GaussianRates()
 def small(steps: int) -> FreeGaussiansConfig:
     config = sculpt.methods["splatting-3d"]()
     assert isinstance(config, FreeGaussiansConfig)
-    return replace(config, steps=steps, start=600, mesh_cells=32, density=replace(config.density, every=10))
+    return replace(config, steps=steps, gaussians=600, mesh_cells=32, density=replace(config.density, every=10))
 
 
 def splats(count: int) -> Splats:

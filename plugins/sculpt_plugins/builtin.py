@@ -73,6 +73,7 @@ METHODS: dict[str, str] = {
     "gaussian-sculpting-tiny": "sculpt_methods.sculpting:gaussian_sculpting_tiny",
     "nerf": "sculpt_methods.volume_rendered:nerf",
     "neus": "sculpt_methods.volume_rendered:neus",
+    "pgsr": "sculpt_methods.splatting:pgsr",
     "splatting-2d": "sculpt_methods.splatting:splatting_2d",
     "splatting-3d": "sculpt_methods.splatting:splatting_3d",
     "volsdf": "sculpt_methods.volume_rendered:volsdf",

@@ -1,12 +1,13 @@
 """How a method draws its Gaussians, and what it learns from a drawing."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sculpt_framework.losses import Target
+from sculpt_framework.losses import Target, TrainingImage
 from sculpt_framework.rasterizers import Rasterizer
 from sculpt_framework.rendering.photometric import l1_dssim
 from sculpt_framework.types import Camera, Gaussians, Rendering
@@ -20,11 +21,22 @@ class Drawing(ABC):
     @abstractmethod
     def draw(self, gaussians: Gaussians, camera: Camera, background: Float[Tensor, " 3"]) -> Rendering: ...
 
+    def begin(self, images: Sequence[TrainingImage]) -> None:
+        """These are the images that are learned from: whoever compares views with one another keeps them."""
+        return
+
     @abstractmethod
     def terms(
-        self, gaussians: Gaussians, camera: Camera, background: Float[Tensor, " 3"], target: Target, progress: float
+        self,
+        gaussians: Gaussians,
+        camera: Camera,
+        background: Float[Tensor, " 3"],
+        target: Target,
+        progress: float,
+        generator: torch.Generator,
     ) -> Terms:
-        """What one view is learned from, the sum of which is the loss; ``progress`` is the share of the run done."""
+        """What one view is learned from, the sum of which is the loss; ``progress`` is the share of the run done, and
+        whatever is random follows the generator."""
 
 
 class Splatting(Drawing):
@@ -37,7 +49,13 @@ class Splatting(Drawing):
         return self._rasterizer.render(gaussians, camera, background, low_pass_px2=self._low_pass)
 
     def terms(
-        self, gaussians: Gaussians, camera: Camera, background: Float[Tensor, " 3"], target: Target, progress: float
+        self,
+        gaussians: Gaussians,
+        camera: Camera,
+        background: Float[Tensor, " 3"],
+        target: Target,
+        progress: float,
+        generator: torch.Generator,
     ) -> Terms:
         return {"color": l1_dssim(self.draw(gaussians, camera, background).rgb, target.rgb, self._dssim)}
 

@@ -64,7 +64,7 @@ class FreeGaussiansReconstructor(Reconstructor):
         config, splats, image = self._config, self._splats, self._next_image()
         background = torch.rand(3, generator=self._generator).to(self._device)
         gaussians, target = splats.gaussians(self._bands), image.over(background)
-        terms = self._drawing.terms(gaussians, image.camera, background, target, moment.progress)
+        terms = self._drawing.terms(gaussians, image.camera, background, target, moment.progress, self._generator)
         loss = torch.stack(list(terms.values())).sum()
         if not torch.isfinite(loss):
             raise FloatingPointError(f"the loss is {float(loss.detach())}")
@@ -88,6 +88,7 @@ class FreeGaussiansReconstructor(Reconstructor):
     def _next_image(self) -> TrainingImage:
         if not self._images:
             self._images = prepare_images(self._host.views, self._box, 1.0, self._device)
+            self._drawing.begin(self._images)
         if not self._order:
             self._order = torch.randperm(len(self._images), generator=self._generator).tolist()
         return self._images[self._order.pop()]

@@ -7,6 +7,7 @@ from torch import Tensor
 from sculpt_framework.errors import DeviceError
 from sculpt_framework.free_gaussians.drawing import Drawing, Terms
 from sculpt_framework.losses import Target
+from sculpt_framework.rendering.depth_normals import normals_of_depths
 from sculpt_framework.rendering.photometric import l1_dssim
 from sculpt_framework.types import Camera, Gaussians, Rendering
 from sculpt_plugins.methods.splatting_2d.config import Splatting2dConfig
@@ -27,7 +28,13 @@ class DiskDrawing(Drawing):
         return draw_disks(gaussians, camera, background).rendering
 
     def terms(
-        self, gaussians: Gaussians, camera: Camera, background: Float[Tensor, " 3"], target: Target, progress: float
+        self,
+        gaussians: Gaussians,
+        camera: Camera,
+        background: Float[Tensor, " 3"],
+        target: Target,
+        progress: float,
+        generator: torch.Generator,
     ) -> Terms:
         config, drawn = self._config, draw_disks(gaussians, camera, background)
         rendering = drawn.rendering
@@ -47,20 +54,8 @@ def normal_difference(rendering: Rendering, camera: Camera) -> Float[Tensor, ""]
     assert rendering.normal is not None  # noqa: S101
     covered = rendering.alpha.detach() > _COVERED
     depth = rendering.depth / torch.where(covered, rendering.alpha, 1.0)
-    columns, rows = torch.meshgrid(
-        torch.arange(camera.width, device=depth.device) + 0.5,
-        torch.arange(camera.height, device=depth.device) + 0.5,
-        indexing="xy",
-    )
-    x, y = (columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy
-    points = torch.stack([x * depth, y * depth, depth], dim=2)
-    right, down = points[1:-1, 2:] - points[1:-1, :-2], points[2:, 1:-1] - points[:-2, 1:-1]
-    across = torch.linalg.cross(down, right)
-    squared = across.square().sum(dim=2, keepdim=True)
-    # A surface that is seen edge on has no normal here, and no say.
-    counts = covered[1:-1, 1:-1] & covered[1:-1, 2:] & covered[1:-1, :-2] & covered[2:, 1:-1] & covered[:-2, 1:-1]
-    counts = counts & (squared[..., 0] > 0)
-    normal = across * torch.where(squared > 0, squared, 1.0).rsqrt()
+    normal, counts = normals_of_depths(depth, covered, camera)
     facing = normal @ camera.world_to_camera[:3, :3].to(normal)
+    counts = counts & covered[1:-1, 1:-1]
     inner, alpha = rendering.normal[1:-1, 1:-1], rendering.alpha[1:-1, 1:-1]
     return torch.where(counts, alpha - (inner * facing).sum(dim=2), 0.0).mean()

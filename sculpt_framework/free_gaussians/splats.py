@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from sculpt_framework.adam import Adam
 from sculpt_framework.export.gaussian_files import rotations_from_quaternions
 from sculpt_framework.free_gaussians.config import DensityConfig, GaussianRates
+from sculpt_framework.geometry.signed_distance import EmptySurfaceError
 from sculpt_framework.parameters import ParameterGroup
 from sculpt_framework.types import Camera, Gaussians
 
@@ -140,7 +141,10 @@ class Splats:
     @torch.no_grad()
     def renewed(self, config: DensityConfig, generator: torch.Generator) -> "Splats":
         """What is left of them, and what is added: those that the images pull at are cloned where they are small, and
-        split in two where they are large; what is nearly clear is dropped (3DGS, 5.2)."""
+        split in two where they are large; what is nearly clear is dropped (3DGS, 5.2).
+
+        Raises EmptySurfaceError if none would be left.
+        """
         mean = self.pull / self.shown.clamp(min=1)
         wanted = mean >= config.gradient
         if room := max(0, config.most - len(self)):
@@ -154,6 +158,8 @@ class Splats:
         clones, splits = wanted & ~large, wanted & large
         kept = ~splits & (self.parameters["logits"].sigmoid() >= config.least_opacity)
         rows = torch.cat([kept.nonzero()[:, 0], clones.nonzero()[:, 0], splits.nonzero()[:, 0].repeat(2)])
+        if len(rows) == 0:
+            raise EmptySurfaceError("no Gaussian is left: all are nearly clear")
         values = {name: parameter[rows].clone() for name, parameter in self.parameters.items()}
         if halves := 2 * int(splits.sum()):
             noise = torch.randn(halves, 3, generator=generator).to(scales)

@@ -16,6 +16,7 @@ from sculpt_framework.engine.run import load_finished
 from sculpt_framework.free_gaussians.config import DensityConfig, FreeGaussiansConfig, GaussianRates
 from sculpt_framework.free_gaussians.splats import Splats
 from sculpt_framework.geometry.grid import grid_over_box
+from sculpt_framework.geometry.signed_distance import EmptySurfaceError
 from sculpt_framework.reconstructor import Moment
 from sculpt_framework.shape_from_images.tsdf import fuse_renderings, surface_of
 from sculpt_framework.stress.small import small_scene
@@ -103,6 +104,8 @@ def test_what_is_cloned_split_and_dropped():
     assert after.pull.tolist() == [0] * 5
     # No room is no reason to lose one.
     assert len(some.renewed(replace(density, most=4), torch.Generator())) == 3
+    with pytest.raises(EmptySurfaceError, match="no Gaussian"):
+        splats(3).renewed(replace(density, least_opacity=0.5), torch.Generator())
 
 
 def test_the_harmonics_come_one_degree_after_the_other_and_columns_are_sorted():

@@ -27,6 +27,7 @@ from sculpt_framework.errors import ConfigError
 from sculpt_framework.evaluation.mesh import Mesh
 from sculpt_framework.events import EventName
 from sculpt_framework.export.drawn_mesh import GREY, draw_mesh_in_colors
+from sculpt_framework.geometry.signed_distance import EmptySurfaceError
 from sculpt_framework.parallel.processes import Processes
 from sculpt_framework.snapshot import Snapshot
 from sculpt_framework.types import Camera, Rendering, View
@@ -170,7 +171,11 @@ class Reconstructor(ABC):
 
     def snapshot(self) -> Snapshot | None:
         """The state for a viewer, cheap to take; None if there is none to show."""
-        mesh, colors = self.mesh(), torch.from_numpy(self.colors())
+        try:
+            mesh, colors = self.mesh(), torch.from_numpy(self.colors())
+        except (EmptySurfaceError, FloatingPointError):
+            # A passing state without a surface: a look must not end what the session would recover from.
+            return None
         return Snapshot.of_mesh(mesh.vertices, mesh.faces, colors)
 
     def obey(self, command: Command, step: int, folder: Path) -> str:

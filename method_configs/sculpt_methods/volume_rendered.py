@@ -15,8 +15,6 @@ from sculpt_plugins.observers.console.config import ConsoleConfig
 from sculpt_plugins.observers.recorder.config import RecorderConfig
 
 _STEPS, _FIELD_RATE = 2000, 8e-3
-_HOLDOUT = 30
-"""A rendering takes seconds: few views are held out."""
 
 
 def nerf() -> NerfConfig:
@@ -24,7 +22,6 @@ def nerf() -> NerfConfig:
     return NerfConfig(
         method="nerf",
         steps=_STEPS,
-        holdout_every=_HOLDOUT,
         mask_weight=0.0,  # it has no such term
         # Density, too, is decoded from this grid.
         radiance=RadianceConfig(rate=5e-2, decoder_rate=5e-3),
@@ -39,7 +36,6 @@ def neus() -> NeusConfig:
     return NeusConfig(
         method="neus",
         steps=_STEPS,
-        holdout_every=_HOLDOUT,
         eikonal_weight=0.1,  # 4.1, lambda
         mask_weight=0.1,  # 4.1, beta, with masks
         sharpness=60.0,  # program: 20; ours is not as far from sharp in a hundredth of the steps
@@ -56,8 +52,8 @@ def volsdf() -> VolsdfConfig:
     return VolsdfConfig(
         method="volsdf",
         steps=_STEPS,
-        holdout_every=_HOLDOUT,
         rays=1024,  # supplementary B.2
+        mask_weight=0.0,  # it has no such term
         beta=0.1,  # supplementary B.1
         beta_rate=2e-2,
         eikonal_weight=0.1,  # 3.4, lambda

@@ -19,6 +19,7 @@ from sculpt_framework.commands import (
 from sculpt_framework.engine.session import Session
 from sculpt_framework.errors import SculptError
 from sculpt_framework.export.mesh_files import write_mesh_glb, write_mesh_ply
+from sculpt_framework.geometry.signed_distance import EmptySurfaceError
 
 _PAUSE_POLL_SECONDS = 0.05
 _SNAPSHOT_SHARE = 0.005
@@ -73,7 +74,7 @@ class Steering:
             return
         try:
             message, facts = self._do(command, self._session.step)
-        except SculptError as error:
+        except (SculptError, EmptySurfaceError, FloatingPointError) as error:
             message, facts = f"refused: {error}", {"refused": True}
         self._session.tell(
             "action", {"message": message, "command": command_to_json(command), "source": source, **facts}

@@ -74,6 +74,12 @@ class FreeGaussiansConfig(MethodConfig, ABC):
     @abstractmethod
     def build_drawing(self, device: "torch.device") -> "Drawing": ...
 
+    def pick_device(self) -> "torch.device":
+        """Raises DeviceError for one that is not there."""
+        from sculpt_framework.device import pick_device
+
+        return pick_device(self.device)
+
     @property
     def flat(self) -> bool:
         """Whether Gaussians are disks: one of their sizes is next to nothing then, and is not learned."""

@@ -11,7 +11,6 @@ from jaxtyping import Float
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from sculpt_framework.device import pick_device
 from sculpt_framework.evaluation.extracted import world_mesh
 from sculpt_framework.evaluation.mesh import Mesh
 from sculpt_framework.export.gaussian_files import write_gaussians_ply
@@ -25,7 +24,6 @@ from sculpt_framework.posed_images.training_images import prepare_images
 from sculpt_framework.reconstructor import Host, Moment, Reconstructor, StepReport
 from sculpt_framework.rendering.spherical_harmonics import sh_to_rgb
 from sculpt_framework.shape_from_images.tsdf import fuse_renderings, surface_of
-from sculpt_framework.snapshot import Snapshot
 from sculpt_framework.types import Camera, Rendering, Scene
 
 _FUSED = 40
@@ -35,11 +33,11 @@ _LAST_MEANS_RATE = 0.01
 
 
 class FreeGaussiansReconstructor(Reconstructor):
-    """3D Gaussian splatting (Kerbl et al. 2023); a mesh by fusing depths that training views see."""
+    """Gaussians in space, drawn and taught as the config says; a mesh by fusing depths that training views see."""
 
     def __init__(self, config: FreeGaussiansConfig, scene: Scene, host: Host):
         self._config, self._box, self._host = config, scene.box, host
-        self._device = pick_device(config.device)
+        self._device = config.pick_device()
         self._generator = torch.Generator().manual_seed(config.seed)
         self._drawing = config.build_drawing(self._device)
         self._grid = grid_over_box(scene.box.half_sides.float(), config.mesh_cells)
@@ -70,6 +68,7 @@ class FreeGaussiansReconstructor(Reconstructor):
             raise FloatingPointError(f"the loss is {float(loss.detach())}")
         splats.zero_grad()
         loss.backward()
+        splats.check_slopes()
         splats.note(image.camera)
         splats.step(moment.rate, moment.rate * _LAST_MEANS_RATE**moment.progress)
         self._taken += 1
@@ -136,11 +135,6 @@ class FreeGaussiansReconstructor(Reconstructor):
         write_gaussians_ply(path, replace(gaussians, means=means, scales=gaussians.scales * self._box.scale))
         return {"gaussians": path}
 
-    @torch.no_grad()
-    def snapshot(self) -> Snapshot | None:
-        mesh = self.mesh()
-        return Snapshot.of_mesh(mesh.vertices, mesh.faces, torch.from_numpy(self.colors()))
-
     # -- state ---------------------------------------------------------------------------------------------------
 
     def state(self) -> dict[str, Tensor]:
@@ -148,21 +142,21 @@ class FreeGaussiansReconstructor(Reconstructor):
             "taken": torch.tensor(self._taken),
             "order": torch.tensor(self._order, dtype=torch.int64),
             "random": self._generator.get_state(),
+            "faces": torch.tensor(self._faces),
         }
         return {name: value.detach().clone().contiguous() for name, value in (self._splats.state() | own).items()}
 
     def load_state(self, state: Mapping[str, Tensor]) -> None:
         self._taken, self._order = int(state["taken"]), state["order"].tolist()
         self._generator.set_state(state["random"].clone())
-        here = {
-            name: value.to(self._device) for name, value in state.items() if name not in ("taken", "order", "random")
-        }
-        self._splats = Splats.of_state(here, self._config.rates)
-        self._mesh = None
+        own = ("taken", "order", "random", "faces")
+        splats = {name: value.to(self._device) for name, value in state.items() if name not in own}
+        self._splats = Splats.of_state(splats, self._config.rates)
+        self._mesh, self._faces = None, int(state["faces"])
 
 
 def draw_saved(config: FreeGaussiansConfig, folder: Path, scene: Scene) -> Callable[[Camera], Rendering]:
     """Of a finished run. Raises CheckpointError if the run has not left any Gaussians."""
-    device = pick_device(config.device)
+    device = config.pick_device()
     drawing, gaussians = config.build_drawing(device), saved_gaussians(folder, scene.box).to(device)
     return lambda camera: on_white(drawing, gaussians, scene.box.camera_to_object(camera).to(device, torch.float32))

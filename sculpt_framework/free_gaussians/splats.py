@@ -58,18 +58,18 @@ class Splats:
         *,
         flat: bool = False,
     ) -> "Splats":
-        """Grey, uniform in the box around the origin; disks that face up where they are ``flat``."""
+        """Grey, uniform in the box around the origin and in how they are turned; disks where they are ``flat``."""
         means = (2 * torch.rand(count, 3, generator=generator) - 1) * half_sides.float().cpu()
         distances = KDTree(means.numpy()).query(means.numpy(), k=_NEIGHBOURS + 1)[0][:, 1:]
         size = torch.from_numpy(distances.mean(axis=1)).float().clamp(min=1e-6)
         log_scales = size.log()[:, None].repeat(1, 3)
         if flat:
             log_scales[:, 2] = math.log(_FLAT)
-        upright = torch.tensor([1.0, 0.0, 0.0, 0.0]).expand(count, 4)
+        turns = torch.nn.functional.normalize(torch.randn(count, 4, generator=generator), dim=1)
         values = {
             "means": means,
             "log_scales": log_scales,
-            "quaternions": upright,
+            "quaternions": turns,
             "logits": torch.full((count,), _OPACITY).logit(),
             "constant": torch.zeros(count, 1, 3),
             "rest": torch.zeros(count, (sh_degree + 1) ** 2 - 1, 3),
@@ -98,6 +98,12 @@ class Splats:
             sh=torch.cat([self.parameters["constant"], self.parameters["rest"]], dim=1)[:, :bands],
             face=torch.full((len(self),), -1, dtype=torch.int64, device=self.means.device),
         )
+
+    def check_slopes(self) -> None:
+        """Raises FloatingPointError for a gradient that is not finite, before it gets into the parameters."""
+        for name, parameter in self.parameters.items():
+            if parameter.grad is not None and not torch.isfinite(parameter.grad.sum()):
+                raise FloatingPointError(f"the slope by the Gaussians' {name} is not finite")
 
     def note(self, camera: Camera) -> None:
         """Add the gradient that the means have from a rendering for this camera, as it is by places in half images.
@@ -146,7 +152,8 @@ class Splats:
         Raises EmptySurfaceError if none would be left.
         """
         mean = self.pull / self.shown.clamp(min=1)
-        wanted = mean >= config.gradient
+        opaque = self.parameters["logits"].sigmoid() >= config.least_opacity
+        wanted = opaque & (mean >= config.gradient)
         if room := max(0, config.most - len(self)):
             # The strongest first, where there is not room for all.
             limit = mean.topk(min(room, len(self))).values.min()
@@ -156,7 +163,7 @@ class Splats:
         scales = self.parameters["log_scales"].exp()
         large = scales.amax(dim=1) > config.large
         clones, splits = wanted & ~large, wanted & large
-        kept = ~splits & (self.parameters["logits"].sigmoid() >= config.least_opacity)
+        kept = ~splits & opaque
         rows = torch.cat([kept.nonzero()[:, 0], clones.nonzero()[:, 0], splits.nonzero()[:, 0].repeat(2)])
         if len(rows) == 0:
             raise EmptySurfaceError("no Gaussian is left: all are nearly clear")

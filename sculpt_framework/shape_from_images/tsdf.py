@@ -26,11 +26,12 @@ _COVERED = 0.5
 def fuse_renderings(renderings: Iterable[tuple[Camera, Rendering]], grid: Grid) -> Volume:
     """The mean truncated distance at the corners of the grid, in object units, negative inside; cameras in its frame.
 
-    What no rendering looks at or in front of is inside: the shape is closed by what hides it.
+    What lies in an image, and in each behind what it shows, is inside: the shape is closed by what hides it. What lies
+    in no image is outside.
     """
     share_threads()
     shape = [count + 1 for count in grid.shape]
-    sums, counts = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+    sums, counts, shown = np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.zeros(shape, bool)
     truncation, low = np.float32(_TRUNCATION * grid.cell), np.array(grid.origin, np.float32)
     for camera, rendering in renderings:
         covered = rendering.alpha > _COVERED
@@ -39,9 +40,10 @@ def fuse_renderings(renderings: Iterable[tuple[Camera, Rendering]], grid: Grid) 
         lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
         tsdf_kernels.add_view(
             low, np.float32(grid.cell), pose, lens, array_of(depth.cpu()), array_of(covered.cpu()), truncation, sums,
-            counts,
+            counts, shown,
         )  # fmt: skip
-    mean = np.where(counts > 0, sums / np.maximum(counts, 1), np.float32(-1)) * truncation
+    unseen = np.where(shown, np.float32(-1), np.float32(1))
+    mean = np.where(counts > 0, sums / np.maximum(counts, 1), unseen) * truncation
     x, y, z = (start - 0.5 * grid.cell for start in grid.origin)
     return Volume(values=mean, origin=(x, y, z), cell=grid.cell)
 

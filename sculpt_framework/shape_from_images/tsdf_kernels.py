@@ -8,10 +8,11 @@ _ONE, _HALF = np.float32(1), np.float32(0.5)
 
 
 @njit(parallel=True, **_OPTIONS)
-def add_view(low, cell, pose, lens, depth, covered, truncation, sums, counts):
+def add_view(low, cell, pose, lens, depth, covered, truncation, sums, counts, shown):
     """Add what a view says of the corners ``low`` + ``cell`` (i, j, k) to ``sums`` and ``counts`` [x, y, z].
 
-    ``depth`` is camera z, read where ``covered``; elsewhere the view sees that nothing is there.
+    ``depth`` is camera z, read where ``covered``; elsewhere the view sees that nothing is there. ``shown`` becomes true
+    of what lies in the image, also behind what it sees.
     """
     height, width = depth.shape
     for i in prange(sums.shape[0]):
@@ -26,6 +27,7 @@ def add_view(low, cell, pose, lens, depth, covered, truncation, sums, counts):
                 u, v = across / far * lens[0] + lens[2], down / far * lens[1] + lens[3]
                 if not (u >= 0 and v >= 0 and u < width and v < height):
                     continue
+                shown[i, j, k] = True
                 row, column = np.int32(v), np.int32(u)
                 if not covered[row, column]:
                     sums[i, j, k] += _ONE

@@ -1,5 +1,6 @@
 """Where something may be: cells that rays need not pass over."""
 
+import math
 from collections.abc import Callable
 
 import torch
@@ -12,7 +13,7 @@ from sculpt_framework.volume_rendering.stretches import OccupiedCells
 
 LEAST_OPACITY = 1e-3
 """Of a step: cells with less are passed over."""
-_FADING = 0.5
+_FADING = 0.7
 """What was seen in a cell counts by so much less each time it is looked at again."""
 _POINTS = 1 << 18
 
@@ -52,8 +53,9 @@ class Occupancy:
 def grid_cells_in(grid: Grid, cells: OccupiedCells) -> Int64[Tensor, "c 3"]:
     """The cells of a grid that touch an occupied one."""
     occupied = cells.occupied.float()[None, None]
-    # One more all around: a cell of the grid may lie across a wall between two.
-    wide = torch.nn.functional.max_pool3d(occupied, kernel_size=3, stride=1, padding=1)[0, 0] > 0
+    # All around as far as half a cell of the grid may reach beyond the walls of the one its middle is in.
+    reach = math.ceil(grid.cell / cells.cell)
+    wide = torch.nn.functional.max_pool3d(occupied, kernel_size=2 * reach + 1, stride=1, padding=reach)[0, 0] > 0
     ijk = torch.cartesian_prod(*(torch.arange(n, device=occupied.device) for n in grid.shape))
     middle = grid.corner_positions(ijk, torch.float32) + 0.5 * grid.cell
     return ijk[within(middle, cells, wide)]

@@ -32,8 +32,9 @@ class Pixels:
         sizes = torch.tensor([camera.width * camera.height for camera in cameras])
         self._first = torch.cat([sizes.new_zeros(1), sizes.cumsum(0)])
         self._widths = torch.tensor([camera.width for camera in cameras], device=device)
-        self._lens = torch.tensor([[camera.fx, camera.fy, camera.cx, camera.cy] for camera in cameras], device=device)
         poses = torch.stack([camera.world_to_camera for camera in cameras])
+        lenses = [[float(each) for each in (camera.fx, camera.fy, camera.cx, camera.cy)] for camera in cameras]
+        self._lens = torch.tensor(lenses, device=device, dtype=poses.dtype)
         self._turns, self._positions = poses[:, :3, :3], torch.stack([camera.position for camera in cameras])
         values = [_with_alpha(image) for image in images]
         self._values = torch.cat([(255 * value).round().to(torch.uint8) for value in values])

@@ -40,12 +40,16 @@ class VolumeReconstructor(Reconstructor):
     """Draws pixels at random and moves the volume's parameters by Adam until they look right."""
 
     def __init__(self, config: VolumeConfig, scene: Scene, host: Host):
+        """Raises DataError for images without masks."""
+        if missing := [view.name for view in host.views if view.alpha is None]:
+            raise DataError(
+                f"{config.method} learns from images with masks, and {len(missing)} of {len(host.views)} have none, "
+                f"{missing[0]} among them. Add masks, or use gaussian-sculpting."
+            )
         self._config, self._box, self._host = config, scene.box, host
         self._device = pick_device(config.device)
         self._generator = torch.Generator().manual_seed(config.seed)
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(config.seed)
-            self._volume = config.build_volume().to(self._device)
+        self._volume = _built(config).to(self._device)
         self._optimizer = Adam(list(self._volume.parameter_groups()), betas=(0.9, 0.99))
         self._occupancy = occupancy_of(config, scene.box, self._device)
         self._grid = grid_over_box(scene.box.half_sides.float(), config.mesh_cells >> _LEVEL, _LEVEL)
@@ -66,13 +70,17 @@ class VolumeReconstructor(Reconstructor):
         jitter = torch.rand(config.rays, generator=random).to(self._device)
         stretches = stretches_of(pixels.rays, self._occupancy.cells, self._step, jitter)
         seen = look_along(self._volume, pixels.rays, stretches)
-        terms = self._volume.loss(seen, pixels, pixels.rays, stretches, random)
+        # Over a colour at random black places in front of nothing are not as good as none.
+        background = torch.rand(3, generator=random).to(self._device)
+        made = seen.rgb + (1 - seen.alpha)[:, None] * background
+        wanted = pixels.premultiplied + (1 - pixels.alpha)[:, None] * background
+        terms = self._volume.loss(made, wanted, pixels.rays, stretches, random)
         if config.mask_weight > 0:
             alpha = seen.alpha.clamp(1e-4, 1 - 1e-4)
             terms["mask"] = config.mask_weight * functional.binary_cross_entropy(alpha, pixels.alpha)
         loss = torch.stack(list(terms.values())).sum()
         if not torch.isfinite(loss):
-            raise FloatingPointError(f"the loss is {float(loss)}")
+            raise FloatingPointError(f"the loss is {float(loss.detach())}")
         self._optimizer.zero_grad()
         loss.backward()
         self._optimizer.step(moment.rate * config.final_rate**moment.progress)
@@ -85,11 +93,6 @@ class VolumeReconstructor(Reconstructor):
 
     def _training_pixels(self) -> Pixels:
         if self._pixels is None:
-            if missing := [view.name for view in self._host.views if view.alpha is None]:
-                raise DataError(
-                    f"{self._config.method} learns from images with masks, and {len(missing)} of "
-                    f"{len(self._host.views)} have none, {missing[0]} among them. Add masks, or use gaussian-sculpting."
-                )
             self._pixels = Pixels(prepare_images(self._host.views, self._box, 1.0, self._device))
         return self._pixels
 
@@ -133,7 +136,11 @@ class VolumeReconstructor(Reconstructor):
     def state(self) -> dict[str, Tensor]:
         volume = {f"volume/{name}": value for name, value in self._volume.state_dict().items()}
         optimizer = {f"optimizer/{name}": value for name, value in self._optimizer.state().items()}
-        own = {"opacity": self._occupancy.opacity, "random": self._generator.get_state()}
+        own = {
+            "opacity": self._occupancy.opacity,
+            "random": self._generator.get_state(),
+            "faces": torch.tensor(self._faces),
+        }
         return {name: value.detach().clone().contiguous() for name, value in (volume | optimizer | own).items()}
 
     def load_state(self, state: Mapping[str, Tensor]) -> None:
@@ -144,7 +151,7 @@ class VolumeReconstructor(Reconstructor):
         self._optimizer.load_state(part("optimizer/"))
         self._occupancy.opacity = state["opacity"].to(self._device).clone()
         self._generator.set_state(state["random"].clone())
-        self._mesh = None
+        self._mesh, self._faces = None, int(state["faces"])
 
     def save(self, folder: Path) -> dict[str, Path]:
         kept = {"opacity": self._occupancy.opacity, **self._volume.state_dict()}
@@ -176,7 +183,7 @@ def draw_volume(
 def draw_saved_volume(config: VolumeConfig, folder: Path, scene: Scene) -> Callable[[Camera], Rendering]:
     """Of a finished run. Raises CheckpointError if the run has not left its volume."""
     path, device = folder / FILE_NAME, pick_device(config.device)
-    volume, occupancy = config.build_volume(), occupancy_of(config, scene.box, device)
+    volume, occupancy = _built(config), occupancy_of(config, scene.box, device)
     try:
         kept = load_file(path)
         occupancy.opacity = kept.pop("opacity").to(device)
@@ -188,6 +195,13 @@ def draw_saved_volume(config: VolumeConfig, folder: Path, scene: Scene) -> Calla
         ) from error
     volume, step = volume.to(device), 2.0 / config.steps_across
     return lambda camera: draw_volume(volume, occupancy, step, scene.box, camera, device)
+
+
+def _built(config: VolumeConfig) -> Volume:
+    """By the config's seed; the numbers of whoever calls stay what they would be."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(config.seed)
+        return config.build_volume()
 
 
 def occupancy_of(config: VolumeConfig, box: Box, device: torch.device) -> Occupancy:

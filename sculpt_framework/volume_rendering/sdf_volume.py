@@ -9,15 +9,14 @@ from sculpt_framework.geometry.grid import Grid
 from sculpt_framework.geometry.signed_distance import SdfFunction
 from sculpt_framework.parameters import ParameterGroup
 from sculpt_framework.volume_rendering.config import SdfVolumeConfig
-from sculpt_framework.volume_rendering.pixels import PixelBatch
 from sculpt_framework.volume_rendering.radiance import RadianceField
 from sculpt_framework.volume_rendering.stretches import OccupiedCells, Rays, Stretches
-from sculpt_framework.volume_rendering.volume import Seen, Volume
+from sculpt_framework.volume_rendering.volume import Volume
 
 _STEEPEST = 2.0
 """While it is learned, the field is only roughly a distance: it may change by so much per unit of length."""
 _EIKONAL_POINTS = 2048
-"""Of either kind, on the rays and anywhere in the box."""
+"""Of either kind, on the rays and anywhere in the cube around the box."""
 
 
 class SdfVolume(Volume):
@@ -42,9 +41,14 @@ class SdfVolume(Volume):
         return [*self.field.parameter_groups(), *self._radiance.parameter_groups()]
 
     def loss(
-        self, seen: Seen, pixels: PixelBatch, rays: Rays, stretches: Stretches, generator: torch.Generator
+        self,
+        made: Float[Tensor, "r 3"],
+        wanted: Float[Tensor, "r 3"],
+        rays: Rays,
+        stretches: Stretches,
+        generator: torch.Generator,
     ) -> dict[str, Float[Tensor, ""]]:
-        terms = super().loss(seen, pixels, rays, stretches, generator)
+        terms = super().loss(made, wanted, rays, stretches, generator)
         if self._eikonal_weight > 0:
             device = rays.origins.device
             points = 2 * torch.rand(_EIKONAL_POINTS, 3, generator=generator).to(device) - 1

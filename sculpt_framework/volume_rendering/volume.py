@@ -12,7 +12,6 @@ from torch import Tensor, nn
 from sculpt_framework.geometry.grid import Grid
 from sculpt_framework.geometry.signed_distance import SdfFunction
 from sculpt_framework.parameters import ParameterGroup
-from sculpt_framework.volume_rendering.pixels import PixelBatch
 from sculpt_framework.volume_rendering.stretches import OccupiedCells, Rays, Stretches
 from sculpt_framework.volume_rendering.weights import add_up, weigh
 
@@ -54,10 +53,16 @@ class Volume(nn.Module, ABC):
     def parameter_groups(self) -> Sequence[ParameterGroup]: ...
 
     def loss(
-        self, seen: Seen, pixels: PixelBatch, rays: Rays, stretches: Stretches, generator: torch.Generator
+        self,
+        made: Float[Tensor, "r 3"],
+        wanted: Float[Tensor, "r 3"],
+        rays: Rays,
+        stretches: Stretches,
+        generator: torch.Generator,
     ) -> dict[str, Float[Tensor, ""]]:
-        """Terms, by name, whose sum is learned from, beside that of the masks. Colours are premultiplied."""
-        return {"color": (seen.rgb - pixels.premultiplied).abs().mean()}
+        """Terms, by name, whose sum is learned from, beside that of the masks: what colours rays bring and should
+        bring, both over the same background."""
+        return {"color": (made - wanted).abs().mean()}
 
     def facts(self) -> Mapping[str, Any]:
         """What is told of a step besides, as JSON values."""

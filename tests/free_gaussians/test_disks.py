@@ -71,13 +71,12 @@ def in_torch(gaussians: Gaussians, camera: Camera) -> tuple[Tensor, Tensor, Tens
 
 
 def test_it_draws_what_torch_does():
-    # Small disks are cut off at three standard deviations, where they add less than a hundredth.
-    some = disks(6, size=1.5)
+    some = disks(12, size=0.6)
     drawn, (rgb, alpha, depth) = draw_disks(some, CAMERA, BLACK).rendering, in_torch(some, CAMERA)
     assert float(alpha.max()) > 0.5
-    assert torch.allclose(drawn.rgb, rgb, atol=5e-3)
-    assert torch.allclose(drawn.alpha, alpha, atol=5e-3)
-    assert torch.allclose(drawn.depth, depth, atol=2e-2)
+    assert torch.allclose(drawn.rgb, rgb, atol=1e-6)
+    assert torch.allclose(drawn.alpha, alpha, atol=1e-6)
+    assert torch.allclose(drawn.depth, depth, atol=1e-6)
 
 
 def test_a_disk_that_faces_the_camera():

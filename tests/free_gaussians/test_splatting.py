@@ -57,9 +57,14 @@ def test_depths_of_a_ball_are_fused_to_a_ball():
     radius = surface.vertices.norm(dim=1)
     assert float((radius - 0.6).abs().mean()) < 0.15 * grid.cell
     assert float((radius - 0.6).abs().max()) < grid.cell
-    # What no view says anything of is inside.
-    nothing = fuse_renderings([], grid)
-    assert (nothing.values < 0).all()
+    # What one view hides is inside, what lies in no image is not.
+    camera = replace(cameras[0], width=100, cx=100.0 - 50.0)
+    (one,) = [fuse_renderings([(camera, sphere_rendering(camera, 0.6))], grid)]
+    values = one.interpolator(torch.device("cpu"))
+    towards = camera.position / camera.position.norm()
+    assert float(values(-0.9 * towards[None])) < 0
+    assert float(values(0.9 * towards[None])) > 0
+    assert (fuse_renderings([], grid).values > 0).all()
 
 
 def test_the_pull_in_the_image_is_that_of_its_own_place():
@@ -90,8 +95,8 @@ def test_what_is_cloned_split_and_dropped():
         parameter.grad = torch.ones_like(parameter)
     some.step(1.0, 1.0)
     before = {name: value.detach().clone() for name, value in some.parameters.items()}
-    some.pull, some.shown = torch.tensor([2.0, 6.0, 0.5, 0.0]), torch.tensor([1.0, 2.0, 1.0, 0.0])
-    # The first is cloned, the second split, the third left alone, the fourth dropped.
+    some.pull, some.shown = torch.tensor([2.0, 6.0, 0.5, 9.0]), torch.tensor([1.0, 2.0, 1.0, 1.0])
+    # The first is cloned, the second split, the third left alone, the fourth dropped, however it is pulled at.
     after = some.renewed(density, torch.Generator().manual_seed(1))
     means, sizes = after.means.detach(), after.parameters["log_scales"].detach().exp()
     assert len(after) == 5
@@ -112,6 +117,7 @@ def test_the_harmonics_come_one_degree_after_the_other_and_columns_are_sorted():
     some = splats(3)
     with torch.no_grad():
         some.parameters["log_scales"][:] = torch.tensor([[-1.0, -3.0, -2.0]])
+        some.parameters["quaternions"][:] = torch.tensor([1.0, 0.0, 0.0, 0.0])
     gaussians = some.gaussians(4)
     assert gaussians.sh.shape == (3, 4, 3)
     assert torch.equal(gaussians.scales.argsort(dim=1), torch.arange(3).expand(3, 3))
@@ -146,7 +152,8 @@ def test_gone_on_with_it_is_what_it_would_have_been():
     for step in range(10, 40):
         again.step(Moment(step=step, progress=step / 40))
     for key, value in again.state().items():
-        assert torch.equal(value, states[40][key]), key
+        # What was measured last is told, not learned from.
+        assert key == "faces" or torch.equal(value, states[40][key]), key
     assert len(states[40]["means"]) != len(states[10]["means"])
 
 

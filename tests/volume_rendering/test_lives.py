@@ -66,7 +66,8 @@ def test_gone_on_with_it_is_what_it_would_have_been(name: str):
     for step in range(10, 20):
         again.step(Moment(step=step, progress=step / 20))
     for key, value in again.state().items():
-        assert torch.equal(value, states[20][key]), key
+        # What was measured last is told, not learned from.
+        assert key == "faces" or torch.equal(value, states[20][key]), key
 
 
 def test_images_without_masks_are_refused():

@@ -10,10 +10,9 @@ from sculpt_framework.geometry.grid import Grid
 from sculpt_framework.geometry.signed_distance import EmptySurfaceError, SdfFunction
 from sculpt_framework.parameters import ParameterGroup
 from sculpt_framework.volume_rendering.occupancy import corner_values, grid_cells_in, within
-from sculpt_framework.volume_rendering.pixels import PixelBatch
 from sculpt_framework.volume_rendering.radiance import ColorDecoder, encoding_of
 from sculpt_framework.volume_rendering.stretches import OccupiedCells, Rays, Stretches
-from sculpt_framework.volume_rendering.volume import Seen, Volume
+from sculpt_framework.volume_rendering.volume import Volume
 from sculpt_plugins.methods.nerf.config import NerfConfig
 
 _START, _START_FALL, _MOST = 1.0, 4.0, 10.0
@@ -55,7 +54,9 @@ class NerfVolume(Volume):
         return self._colors(self._decode(points)[:, 1:], directions)
 
     def most_opaque(self, points: Float[Tensor, "n 3"], radius: float, step: float) -> Float[Tensor, " n"]:
-        return -torch.expm1(-step * self.density(points))
+        """At two places within the radius: there is no bound."""
+        aside = points.new_tensor([1.0, 1.0, 1.0]) * (0.5 * radius / 3**0.5)
+        return -torch.expm1(-step * torch.maximum(self.density(points - aside), self.density(points + aside)))
 
     def surface(self, grid: Grid, cells: OccupiedCells) -> tuple[SdfFunction, Int64[Tensor, " s"]]:
         ijk = grid_cells_in(grid, cells)
@@ -82,6 +83,11 @@ class NerfVolume(Volume):
         ]
 
     def loss(
-        self, seen: Seen, pixels: PixelBatch, rays: Rays, stretches: Stretches, generator: torch.Generator
+        self,
+        made: Float[Tensor, "r 3"],
+        wanted: Float[Tensor, "r 3"],
+        rays: Rays,
+        stretches: Stretches,
+        generator: torch.Generator,
     ) -> dict[str, Float[Tensor, ""]]:
-        return {"color": (seen.rgb - pixels.premultiplied).square().mean()}  # paper, eq. 6
+        return {"color": (made - wanted).square().mean()}  # paper, eq. 6

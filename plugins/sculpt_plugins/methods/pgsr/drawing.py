@@ -40,7 +40,8 @@ class PlaneDrawing(Drawing):
         self._images = images
         self._numbers = {image.name: number for number, image in enumerate(images)}
         places = torch.stack([image.camera.position for image in images])
-        order = torch.cdist(places, places).argsort(dim=1, stable=True)
+        apart = (places[:, None] - places).norm(dim=2)
+        order = apart.fill_diagonal_(-1.0).argsort(dim=1, stable=True)
         self._near = order[:, 1 : _NEIGHBOURS + 1].tolist()
 
     def draw(self, gaussians: Gaussians, camera: Camera, background: Float[Tensor, " 3"]) -> Rendering:
@@ -88,14 +89,14 @@ class PlaneDrawing(Drawing):
             terms["flatness"] = config.flatness * gaussians.scales[:, 0].mean()
         if progress < config.planes_from:
             return terms
+        image = self._images[self._numbers[target.name]]
         if config.single_view > 0:
-            terms["single view"] = config.single_view * single_view(drawn.maps, camera, target.rgb)
+            terms["single view"] = config.single_view * single_view(drawn.maps, camera, image.premultiplied)
         near = self._near[self._numbers[target.name]]
         if near and config.geometric + config.photometric > 0:
             other = self._images[near[int(torch.randint(len(near), (1,), generator=generator))]]
             with torch.no_grad():
                 seen = self._draw(gaussians, other.camera, background)
-            image = self._images[self._numbers[target.name]]
             matched = match_planes(drawn.maps, image, seen.maps, other, config.samples, generator)
             terms["geometric"] = config.geometric * matched.missed
             terms["photometric"] = config.photometric * matched.unlike
@@ -103,7 +104,8 @@ class PlaneDrawing(Drawing):
 
 
 def single_view(maps: PlaneMaps, camera: Camera, rgb: Float[Tensor, "h w 3"]) -> Float[Tensor, ""]:
-    """Mean of (1 - |grad I|)^2 |N_d - N|_1 over covered pixels, |grad I| as a share of the largest (paper, eq. 9)."""
+    """Mean over the image of (1 - |grad I|)^2 |N_d - N|_1, 0 where no plane is; |grad I| as a share of the largest
+    (paper, eq. 9)."""
     grey = rgb.mean(dim=2)
     across, down = grey[1:-1, 2:] - grey[1:-1, :-2], grey[2:, 1:-1] - grey[:-2, 1:-1]
     slope = (across.square() + down.square()).sqrt()

@@ -25,6 +25,15 @@ class Splatting2dConfig(FreeGaussiansConfig):
     normals_from: Annotated[float, between(0, 1)] = 0.23
     """Share of the run from which on it counts."""
 
+    def pick_device(self) -> "torch.device":
+        import torch
+
+        from sculpt_framework.errors import DeviceError
+
+        if self.device == "cuda":
+            raise DeviceError("splatting-2d draws its disks on the CPU; use --device cpu or auto")
+        return torch.device("cpu")
+
     @property
     def flat(self) -> bool:
         return True
@@ -32,4 +41,4 @@ class Splatting2dConfig(FreeGaussiansConfig):
     def build_drawing(self, device: "torch.device") -> "Drawing":
         from sculpt_plugins.methods.splatting_2d.drawing import DiskDrawing
 
-        return DiskDrawing(self, device)
+        return DiskDrawing(self)

@@ -16,8 +16,8 @@ from sculpt_framework.types import Camera, Gaussians, Rendering
 with kernel_cache("disks", Path(__file__).with_name("kernels.py")):
     from sculpt_plugins.methods.splatting_2d import kernels
 
-_REACH = 3.0
-"""Standard deviations within which a disk is drawn, and pixels of the blur around its centre."""
+_BLUR = 3.0
+"""Pixels around a disk's centre in which its blur may count."""
 _NEAREST = 1e-2
 """Object units in front of the camera: disks whose centre is nearer are not drawn."""
 
@@ -60,14 +60,15 @@ class _Disks(torch.autograd.Function):
         share_threads()
         lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
         columns, rows = -(-camera.width // kernels.TILE), -(-camera.height // kernels.TILE)
-        order, boxes = _tiles(frames.detach(), camera, columns, rows)
+        reach = 2 * (opacities.detach().double() / kernels.ALPHA_MIN).log()
+        order, boxes = _tiles(frames.detach().double(), reach, camera, columns, rows)
         lists, starts = kernels.tile_lists(order.numpy(), boxes.numpy(), columns, rows)
         shape = (camera.height, camera.width)
         out = frames.new_empty(*shape, features.shape[1] + 1)
         # Their differences are small: in single precision nothing would be left of them.
         moments = frames.new_empty(*shape, 3, dtype=torch.float64)
         left, last = frames.new_empty(shape), np.empty(shape, np.int32)
-        limits = array_of(2 * (opacities.double() / kernels.ALPHA_MIN).log())
+        limits = array_of(reach)
         given = (array_of(frames), array_of(opacities), limits, array_of(features), lens, lists, starts, columns)
         kernels.composite(*given, out.numpy(), moments.numpy(), left.numpy(), last)
         ctx.save_for_backward(frames, opacities, features, moments, left)
@@ -93,25 +94,34 @@ class _Disks(torch.autograd.Function):
 
 
 def _tiles(
-    frames: Float[Tensor, "g 3 3"], camera: Camera, columns: int, rows: int
+    frames: Float[Tensor, "g 3 3"], limits: Float[Tensor, " g"], camera: Camera, columns: int, rows: int
 ) -> tuple[Int64[Tensor, " d"], Int64[Tensor, "g 4"]]:
     """Which disks are drawn, nearest first, and the tiles each may cover: first and last column and row, the last
-    exclusive."""
+    exclusive.
+
+    ``limits`` are the squared standard deviations that count. The rim is a conic in the image, whose bounds follow from
+    its dual; that of a disk which reaches behind the camera may be anywhere.
+    """
     depth = frames[:, 2, 2]
-    drawn = torch.isfinite(frames).all(dim=2).all(dim=1) & (depth > _NEAREST)
-    corner = frames.new_tensor([[-1, -1], [-1, 1], [1, -1], [1, 1]]) * _REACH
-    points = torch.einsum("gij,cj->gci", frames[:, :, :2], corner) + frames[:, None, :, 2]
-    # A corner beside or behind the camera is as far off in the image as one just in front of it.
-    far = points[..., 2].clamp(min=_NEAREST)
-    u, v = points[..., 0] / far * camera.fx + camera.cx, points[..., 1] / far * camera.fy + camera.cy
-    low = torch.stack([u.amin(dim=1), v.amin(dim=1)], dim=1)
-    high = torch.stack([u.amax(dim=1), v.amax(dim=1)], dim=1)
-    middle = frames[:, :2, 2] / depth[:, None]
-    centre = middle * middle.new_tensor([camera.fx, camera.fy]) + middle.new_tensor([camera.cx, camera.cy])
-    low, high = torch.minimum(low, centre - _REACH), torch.maximum(high, centre + _REACH)
+    drawn = torch.isfinite(frames).all(dim=2).all(dim=1) & (depth > _NEAREST) & (limits > 0)
+    signs = torch.stack([limits, limits, torch.full_like(limits, -1.0)], dim=1)
+    ahead, sizes = frames[:, 2], (camera.width, camera.height)
+    whole = (signs * ahead * ahead).sum(dim=1)
+    low, high = [], []
+    for axis, (focal, centre, size) in enumerate(
+        zip((camera.fx, camera.fy), (camera.cx, camera.cy), sizes, strict=True)
+    ):
+        row = focal * frames[:, axis] + centre * ahead
+        middle = (signs * row * ahead).sum(dim=1) / whole
+        half = (middle.square() - (signs * row * row).sum(dim=1) / whole).clamp(min=0).sqrt()
+        point = focal * frames[:, axis, 2] / depth + centre
+        first = torch.where(whole < 0, torch.minimum(middle - half, point - _BLUR), 0.0)
+        last = torch.where(whole < 0, torch.maximum(middle + half, point + _BLUR), float(size))
+        low.append(first.nan_to_num(0).clamp(0, size))
+        high.append(last.nan_to_num(0).clamp(0, size))
     most = torch.tensor([columns, rows])
-    first = (low / kernels.TILE).floor().nan_to_num(0).clamp(-1e6, 1e6).long().clamp(min=0).minimum(most)
-    last = (high / kernels.TILE).ceil().nan_to_num(0).clamp(-1e6, 1e6).long().clamp(min=0).minimum(most)
+    first = (torch.stack(low, dim=1) / kernels.TILE).floor().long()
+    last = (torch.stack(high, dim=1) / kernels.TILE).ceil().long().minimum(most)
     boxes = torch.stack([first[:, 0], last[:, 0], first[:, 1], last[:, 1]], dim=1)
     seen = (drawn & (boxes[:, 1] > boxes[:, 0]) & (boxes[:, 3] > boxes[:, 2])).nonzero()[:, 0]
     return seen[depth[seen].argsort(stable=True)], boxes

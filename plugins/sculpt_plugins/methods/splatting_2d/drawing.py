@@ -4,7 +4,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sculpt_framework.errors import DeviceError
 from sculpt_framework.free_gaussians.drawing import Drawing, Terms
 from sculpt_framework.losses import Target
 from sculpt_framework.rendering.depth_normals import normals_of_depths
@@ -18,10 +17,7 @@ _COVERED = 0.5
 
 
 class DiskDrawing(Drawing):
-    def __init__(self, config: Splatting2dConfig, device: torch.device):
-        """Raises DeviceError for any device but the CPU."""
-        if device.type != "cpu":
-            raise DeviceError(f"splatting-2d draws its disks on the CPU, not on {device}; use --device cpu")
+    def __init__(self, config: Splatting2dConfig):
         self._config = config
 
     def draw(self, gaussians: Gaussians, camera: Camera, background: Float[Tensor, " 3"]) -> Rendering:

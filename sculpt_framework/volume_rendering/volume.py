@@ -15,6 +15,8 @@ from sculpt_framework.parameters import ParameterGroup
 from sculpt_framework.volume_rendering.stretches import OccupiedCells, Rays, Stretches
 from sculpt_framework.volume_rendering.weights import add_up, weigh
 
+_TRACE = 1e-4
+"""Share of what a ray brings that is not worth a colour."""
 DARK = 1e-4
 """Share of a ray's light below which what lies behind is not asked for its colour."""
 
@@ -70,9 +72,10 @@ class Volume(nn.Module, ABC):
 
 
 def look_along(volume: Volume, rays: Rays, stretches: Stretches) -> Seen:
-    """Render rays. Colours are asked for where light still arrives."""
+    """Render rays. Colours are asked for where light still arrives; without gradients, where more than a trace of what
+    is seen comes from."""
     weights, through = weigh(volume.alphas(rays, stretches), stretches)
-    lit = _lit(weights.detach(), stretches)
+    lit = _lit(weights.detach(), stretches) if torch.is_grad_enabled() else weights > _TRACE
     ray, middle = stretches.ray[lit], stretches.begin[lit] + 0.5 * stretches.step
     points = rays.origins.index_select(0, ray) + middle[:, None] * rays.directions.index_select(0, ray)
     colors = volume.colors(points, rays.directions.index_select(0, ray))

@@ -127,6 +127,7 @@ def test_it_is_watched(installed: Path, scenes: Path, tmp_path: Path):
     assert frames[-1].colors.shape == frames[-1].vertices.shape
 
 
+@pytest.mark.slow
 def test_what_it_cannot_do_is_said(installed: Path, scenes: Path, tmp_path: Path):
     out = tmp_path / "run"
     sculpt(installed, "train", "ball", "--data", str(scenes / "one"), "--output", str(out), "--steps", "3")

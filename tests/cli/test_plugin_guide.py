@@ -77,6 +77,7 @@ def test_its_ranges_are_checked(installed: Path, tmp_path: Path):
     assert (done.returncode, done.stderr) == (2, "error: --field.frequency is 0.0; expected above 0.\n")
 
 
+@pytest.mark.slow
 def test_it_trains(installed: Path, tmp_path: Path):
     settings = DemoSettings(train_views=12, test_views=1, resolution=48, reference_cells=16)
     write_scene(demo_object("blob"), settings, tmp_path / "scene")

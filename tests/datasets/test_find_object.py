@@ -79,6 +79,7 @@ def test_a_ball_is_told_from_the_table_it_stands_on():
     assert np.mean(scores) > 0.92
 
 
+@pytest.mark.slow
 def test_what_it_stands_on_may_stay():
     views, truth = ring(OnTable()), ring(BallAlone(), masked=True)
     found = find_object(views, [], SEED, sure=True, keep_support=True)
@@ -103,6 +104,7 @@ def test_images_without_anything_in_common_show_no_object():
     assert "little that is alike" in said
 
 
+@pytest.mark.slow
 def test_masks_that_are_there_stay():
     views, truth = ring(OnTable()), ring(BallAlone(), masked=True)
     mask = truth[3].alpha

@@ -73,6 +73,7 @@ def losses(folder: Path) -> list[float]:
     return [event["data"]["loss"] for event in events if event["event"] == "outer_step"]
 
 
+@pytest.mark.slow
 def test_three_processes_do_what_one_does(outcomes: tuple[dict[str, Job], Path]):
     told, work = outcomes
     assert told["one"]["codes"] == [0], told["one"]["said"]

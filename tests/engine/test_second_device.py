@@ -12,8 +12,9 @@ from small_runs import ONE_STAGE, small_config, train
 from torch import Tensor
 
 from sculpt_framework.config import RasterizerConfig
+from sculpt_framework.posed_images import training_images
 from sculpt_framework.rasterizers import Rasterizer, RasterOutput
-from sculpt_framework.sculpting import assembly, images
+from sculpt_framework.sculpting import assembly
 from sculpt_framework.types import Camera, Scene
 from sculpt_plugins.rasterizers.reference.config import ReferenceRasterizerConfig
 from sculpt_plugins.rasterizers.triton.config import TritonRasterizerConfig
@@ -87,7 +88,7 @@ def test_training_is_the_same_on_another_device(
     here = train(config, scene).result
     monkeypatch.setattr(assembly, "pick_device", lambda wanted: DEVICE)
     # What makes tensors there is known to the thread that asked for it.
-    monkeypatch.setattr(images, "in_threads", lambda work, items: [work(item) for item in items])
+    monkeypatch.setattr(training_images, "in_threads", lambda work, items: [work(item) for item in items])
     with second_device():
         there = train(replace(config, rasterizer=AcrossConfig(drawing=drawing)), scene).result
     np.testing.assert_array_equal(there.faces, here.faces)

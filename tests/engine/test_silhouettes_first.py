@@ -40,6 +40,7 @@ def test_a_sphere_comes_near_the_object_before_the_first_stage(scene: Scene):
     assert first_error(shaped) < 0.4 * first_error(plain)
 
 
+@pytest.mark.slow
 def test_it_is_repeatable(scene: Scene):
     first, second = (from_sphere(scene) for _ in range(2))
     assert torch.equal(torch.as_tensor(first.result.mesh.vertices), torch.as_tensor(second.result.mesh.vertices))

@@ -65,6 +65,7 @@ def test_which_captures_there_are(captures: Path):
     assert suite.left_out == ("looks",)
 
 
+@pytest.mark.slow
 def test_from_words_to_table_and_page(captures: Path, capsys: pytest.CaptureFixture[str]):
     words = ["suite", "captures", "captures", "--masks", "both", "--against", "openmvs.ply", "--max-time", "9"]
     bench(words)

@@ -63,6 +63,7 @@ def check_case(seed: int, shape: tuple[int, int, int], depth: int, field: str, s
 
 @settings(max_examples=200, deadline=None)
 @given(**CASES)
+@pytest.mark.slow
 def test_random_fields_on_random_trees(seed, shape, depth, field, split):
     check_case(seed, shape, depth, field, split)
 

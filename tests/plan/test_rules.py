@@ -89,7 +89,7 @@ def test_the_surface_learns_from_agreement_where_light_is_uneven() -> None:
     assert weights(config) == weights(method())
     assert "light" not in changed
     config, changed = decided(uneven(1.01 * UNEVEN_LIGHT))
-    assert weights(config) == weights(method()) | {"photometric": 0.0, "bending": 0.2}
+    assert weights(config) == weights(method()) | {"photometric": 0.0, "bending": 0.06}
     assert weights(config)["consistency"] == 1
     (stage,) = config.trainer.stages
     assert stage.inner_steps == 1

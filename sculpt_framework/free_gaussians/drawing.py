@@ -2,6 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
@@ -15,6 +16,20 @@ from sculpt_framework.types import Camera, Gaussians, Rendering
 Terms = dict[str, Float[Tensor, ""]]
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Lesson:
+    """One view to learn from."""
+
+    camera: Camera
+    background: Float[Tensor, " 3"]
+    target: Target
+    """Over that background."""
+    progress: float
+    """Share of the run that is done."""
+    generator: torch.Generator
+    """What is random follows it."""
+
+
 class Drawing(ABC):
     """Gaussians and camera in the object frame."""
 
@@ -26,17 +41,8 @@ class Drawing(ABC):
         return
 
     @abstractmethod
-    def terms(
-        self,
-        gaussians: Gaussians,
-        camera: Camera,
-        background: Float[Tensor, " 3"],
-        target: Target,
-        progress: float,
-        generator: torch.Generator,
-    ) -> Terms:
-        """What one view is learned from, the sum of which is the loss; ``progress`` is the share of the run done, and
-        whatever is random follows the generator."""
+    def terms(self, gaussians: Gaussians, lesson: Lesson) -> Terms:
+        """What is learned from one view: the sum of these is the loss."""
 
 
 class Splatting(Drawing):
@@ -48,16 +54,9 @@ class Splatting(Drawing):
     def draw(self, gaussians: Gaussians, camera: Camera, background: Float[Tensor, " 3"]) -> Rendering:
         return self._rasterizer.render(gaussians, camera, background, low_pass_px2=self._low_pass)
 
-    def terms(
-        self,
-        gaussians: Gaussians,
-        camera: Camera,
-        background: Float[Tensor, " 3"],
-        target: Target,
-        progress: float,
-        generator: torch.Generator,
-    ) -> Terms:
-        return {"color": l1_dssim(self.draw(gaussians, camera, background).rgb, target.rgb, self._dssim)}
+    def terms(self, gaussians: Gaussians, lesson: Lesson) -> Terms:
+        rendering = self.draw(gaussians, lesson.camera, lesson.background)
+        return {"color": l1_dssim(rendering.rgb, lesson.target.rgb, self._dssim)}
 
 
 @torch.no_grad()

@@ -16,7 +16,7 @@ from sculpt_framework.evaluation.mesh import Mesh
 from sculpt_framework.export.gaussian_files import write_gaussians_ply
 from sculpt_framework.export.saved_gaussians import GAUSSIANS_NAME, saved_gaussians
 from sculpt_framework.free_gaussians.config import FreeGaussiansConfig
-from sculpt_framework.free_gaussians.drawing import on_white
+from sculpt_framework.free_gaussians.drawing import Lesson, on_white
 from sculpt_framework.free_gaussians.splats import Splats
 from sculpt_framework.geometry.grid import grid_over_box
 from sculpt_framework.losses import TrainingImage
@@ -61,8 +61,14 @@ class FreeGaussiansReconstructor(Reconstructor):
     def step(self, moment: Moment) -> StepReport:
         config, splats, image = self._config, self._splats, self._next_image()
         background = torch.rand(3, generator=self._generator).to(self._device)
-        gaussians, target = splats.gaussians(self._bands), image.over(background)
-        terms = self._drawing.terms(gaussians, image.camera, background, target, moment.progress, self._generator)
+        lesson = Lesson(
+            camera=image.camera,
+            background=background,
+            target=image.over(background),
+            progress=moment.progress,
+            generator=self._generator,
+        )
+        terms = self._drawing.terms(splats.gaussians(self._bands), lesson)
         loss = torch.stack(list(terms.values())).sum()
         if not torch.isfinite(loss):
             raise FloatingPointError(f"the loss is {float(loss.detach())}")
@@ -96,7 +102,7 @@ class FreeGaussiansReconstructor(Reconstructor):
 
     @torch.no_grad()
     def mesh(self) -> Mesh:
-        """What no view sees is inside: the mesh is closed by what hides it."""
+        """What all images that show a place hide there is inside: the mesh is closed by it."""
         if self._mesh is None:
             gaussians, views = self._splats.gaussians(1), self._host.views
             chosen = np.unique(np.linspace(0, len(views) - 1, _FUSED).round().astype(int))

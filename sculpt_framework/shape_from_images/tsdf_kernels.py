@@ -4,7 +4,7 @@ import numpy as np
 from numba import njit, prange
 
 _OPTIONS = {"fastmath": {"nsz", "contract"}, "error_model": "numpy", "cache": True, "nogil": True}
-_ONE, _HALF = np.float32(1), np.float32(0.5)
+_ONE = np.float32(1)
 
 
 @njit(parallel=True, **_OPTIONS)

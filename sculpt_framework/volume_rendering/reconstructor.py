@@ -74,7 +74,8 @@ class VolumeReconstructor(Reconstructor):
         background = torch.rand(3, generator=random).to(self._device)
         made = seen.rgb + (1 - seen.alpha)[:, None] * background
         wanted = pixels.premultiplied + (1 - pixels.alpha)[:, None] * background
-        terms = self._volume.loss(made, wanted, pixels.rays, stretches, random)
+        terms = {"color": self._volume.color_loss(made, wanted)}
+        terms |= self._volume.shape_terms(pixels.rays, stretches, random)
         if config.mask_weight > 0:
             alpha = seen.alpha.clamp(1e-4, 1 - 1e-4)
             terms["mask"] = config.mask_weight * functional.binary_cross_entropy(alpha, pixels.alpha)

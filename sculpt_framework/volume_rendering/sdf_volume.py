@@ -40,24 +40,16 @@ class SdfVolume(Volume):
     def parameter_groups(self) -> list[ParameterGroup]:
         return [*self.field.parameter_groups(), *self._radiance.parameter_groups()]
 
-    def loss(
-        self,
-        made: Float[Tensor, "r 3"],
-        wanted: Float[Tensor, "r 3"],
-        rays: Rays,
-        stretches: Stretches,
-        generator: torch.Generator,
-    ) -> dict[str, Float[Tensor, ""]]:
-        terms = super().loss(made, wanted, rays, stretches, generator)
-        if self._eikonal_weight > 0:
-            device = rays.origins.device
-            points = 2 * torch.rand(_EIKONAL_POINTS, 3, generator=generator).to(device) - 1
-            if len(stretches):
-                chosen = torch.randint(len(stretches), (_EIKONAL_POINTS,), generator=generator).to(device)
-                middle = stretches.begin[chosen] + 0.5 * stretches.step
-                points = torch.cat([points, stretches.at(rays, stretches.ray[chosen], middle)])
-            terms["eikonal"] = self._eikonal_weight * eikonal(slopes(self.field, points, self._spacing))
-        return terms
+    def shape_terms(self, rays: Rays, stretches: Stretches, generator: torch.Generator) -> dict[str, Float[Tensor, ""]]:
+        if self._eikonal_weight == 0:
+            return {}
+        device = rays.origins.device
+        points = 2 * torch.rand(_EIKONAL_POINTS, 3, generator=generator).to(device) - 1
+        if len(stretches):
+            chosen = torch.randint(len(stretches), (_EIKONAL_POINTS,), generator=generator).to(device)
+            middle = stretches.begin[chosen] + 0.5 * stretches.step
+            points = torch.cat([points, stretches.at(rays, stretches.ray[chosen], middle)])
+        return {"eikonal": self._eikonal_weight * eikonal(slopes(self.field, points, self._spacing))}
 
 
 def nearest(sdf: Float[Tensor, " n"], radius: float) -> Float[Tensor, " n"]:

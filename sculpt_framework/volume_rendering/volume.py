@@ -54,17 +54,13 @@ class Volume(nn.Module, ABC):
     @abstractmethod
     def parameter_groups(self) -> Sequence[ParameterGroup]: ...
 
-    def loss(
-        self,
-        made: Float[Tensor, "r 3"],
-        wanted: Float[Tensor, "r 3"],
-        rays: Rays,
-        stretches: Stretches,
-        generator: torch.Generator,
-    ) -> dict[str, Float[Tensor, ""]]:
-        """Terms, by name, whose sum is learned from, beside that of the masks: what colours rays bring and should
-        bring, both over the same background."""
-        return {"color": (made - wanted).abs().mean()}
+    def color_loss(self, made: Float[Tensor, "r 3"], wanted: Float[Tensor, "r 3"]) -> Float[Tensor, ""]:
+        """Of the colours that rays bring and should bring, both over the same background."""
+        return (made - wanted).abs().mean()
+
+    def shape_terms(self, rays: Rays, stretches: Stretches, generator: torch.Generator) -> dict[str, Float[Tensor, ""]]:
+        """What is learned from besides, by name: terms of the shape itself."""
+        return {}
 
     def facts(self) -> Mapping[str, Any]:
         """What is told of a step besides, as JSON values."""
@@ -77,8 +73,7 @@ def look_along(volume: Volume, rays: Rays, stretches: Stretches) -> Seen:
     weights, through = weigh(volume.alphas(rays, stretches), stretches)
     lit = _lit(weights.detach(), stretches) if torch.is_grad_enabled() else weights > _TRACE
     ray, middle = stretches.ray[lit], stretches.begin[lit] + 0.5 * stretches.step
-    points = rays.origins.index_select(0, ray) + middle[:, None] * rays.directions.index_select(0, ray)
-    colors = volume.colors(points, rays.directions.index_select(0, ray))
+    colors = volume.colors(stretches.at(rays, ray, middle), rays.directions.index_select(0, ray))
     counts = torch.bincount(ray, minlength=len(rays))
     offsets = torch.cat([counts.new_zeros(1), counts.cumsum(0)])
     brought = add_up(weights[lit], torch.cat([colors, middle[:, None]], dim=1), offsets)

@@ -82,12 +82,5 @@ class NerfVolume(Volume):
             ParameterGroup(parameters=decoders, rate=decoder_rate),
         ]
 
-    def loss(
-        self,
-        made: Float[Tensor, "r 3"],
-        wanted: Float[Tensor, "r 3"],
-        rays: Rays,
-        stretches: Stretches,
-        generator: torch.Generator,
-    ) -> dict[str, Float[Tensor, ""]]:
-        return {"color": (made - wanted).square().mean()}  # paper, eq. 6
+    def color_loss(self, made: Float[Tensor, "r 3"], wanted: Float[Tensor, "r 3"]) -> Float[Tensor, ""]:
+        return (made - wanted).square().mean()  # paper, eq. 6

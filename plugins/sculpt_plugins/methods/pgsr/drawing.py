@@ -7,8 +7,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sculpt_framework.free_gaussians.drawing import Drawing, Terms
-from sculpt_framework.losses import Target, TrainingImage
+from sculpt_framework.free_gaussians.drawing import Drawing, Lesson, Terms
+from sculpt_framework.losses import TrainingImage
 from sculpt_framework.rasterizers import Rasterizer
 from sculpt_framework.rendering.depth_normals import normals_of_depths
 from sculpt_framework.rendering.photometric import l1_dssim
@@ -73,31 +73,23 @@ class PlaneDrawing(Drawing):
         rendering = Rendering(rgb=out.features[..., :3], alpha=out.alpha, depth=depth, normal=out.features[..., 3:6])
         return Drawn(rendering=rendering, maps=maps)
 
-    def terms(
-        self,
-        gaussians: Gaussians,
-        camera: Camera,
-        background: Float[Tensor, " 3"],
-        target: Target,
-        progress: float,
-        generator: torch.Generator,
-    ) -> Terms:
-        config, drawn = self._config, self._draw(gaussians, camera, background)
-        terms = {"color": l1_dssim(drawn.rendering.rgb, target.rgb, config.dssim)}
+    def terms(self, gaussians: Gaussians, lesson: Lesson) -> Terms:
+        config, drawn = self._config, self._draw(gaussians, lesson.camera, lesson.background)
+        terms = {"color": l1_dssim(drawn.rendering.rgb, lesson.target.rgb, config.dssim)}
         if config.flatness > 0:
             # Their first column is along the smallest (paper, eq. 2).
             terms["flatness"] = config.flatness * gaussians.scales[:, 0].mean()
-        if progress < config.planes_from:
+        if lesson.progress < config.planes_from:
             return terms
-        image = self._images[self._numbers[target.name]]
+        image = self._images[self._numbers[lesson.target.name]]
         if config.single_view > 0:
-            terms["single view"] = config.single_view * single_view(drawn.maps, camera, image.premultiplied)
-        near = self._near[self._numbers[target.name]]
+            terms["single view"] = config.single_view * single_view(drawn.maps, lesson.camera, image.premultiplied)
+        near = self._near[self._numbers[lesson.target.name]]
         if near and config.geometric + config.photometric > 0:
-            other = self._images[near[int(torch.randint(len(near), (1,), generator=generator))]]
+            other = self._images[near[int(torch.randint(len(near), (1,), generator=lesson.generator))]]
             with torch.no_grad():
-                seen = self._draw(gaussians, other.camera, background)
-            matched = match_planes(drawn.maps, image, seen.maps, other, config.samples, generator)
+                seen = self._draw(gaussians, other.camera, lesson.background)
+            matched = match_planes(drawn.maps, image, seen.maps, other, config.samples, lesson.generator)
             terms["geometric"] = config.geometric * matched.missed
             terms["photometric"] = config.photometric * matched.unlike
         return terms

@@ -4,8 +4,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sculpt_framework.free_gaussians.drawing import Drawing, Terms
-from sculpt_framework.losses import Target
+from sculpt_framework.free_gaussians.drawing import Drawing, Lesson, Terms
 from sculpt_framework.rendering.depth_normals import normals_of_depths
 from sculpt_framework.rendering.photometric import l1_dssim
 from sculpt_framework.types import Camera, Gaussians, Rendering
@@ -23,22 +22,14 @@ class DiskDrawing(Drawing):
     def draw(self, gaussians: Gaussians, camera: Camera, background: Float[Tensor, " 3"]) -> Rendering:
         return draw_disks(gaussians, camera, background).rendering
 
-    def terms(
-        self,
-        gaussians: Gaussians,
-        camera: Camera,
-        background: Float[Tensor, " 3"],
-        target: Target,
-        progress: float,
-        generator: torch.Generator,
-    ) -> Terms:
-        config, drawn = self._config, draw_disks(gaussians, camera, background)
+    def terms(self, gaussians: Gaussians, lesson: Lesson) -> Terms:
+        config, drawn = self._config, draw_disks(gaussians, lesson.camera, lesson.background)
         rendering = drawn.rendering
-        terms = {"color": l1_dssim(rendering.rgb, target.rgb, config.dssim)}
-        if config.distortion > 0 and progress >= config.distortion_from:
+        terms = {"color": l1_dssim(rendering.rgb, lesson.target.rgb, config.dssim)}
+        if config.distortion > 0 and lesson.progress >= config.distortion_from:
             terms["distortion"] = config.distortion * drawn.distortion.mean()
-        if config.normals > 0 and progress >= config.normals_from:
-            terms["normals"] = config.normals * normal_difference(rendering, camera)
+        if config.normals > 0 and lesson.progress >= config.normals_from:
+            terms["normals"] = config.normals * normal_difference(rendering, lesson.camera)
         return terms
 
 

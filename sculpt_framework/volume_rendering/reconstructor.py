@@ -18,6 +18,7 @@ from sculpt_framework.errors import CheckpointError, DataError
 from sculpt_framework.evaluation.extracted import world_mesh
 from sculpt_framework.evaluation.mesh import Mesh
 from sculpt_framework.export.atomic import write_atomically
+from sculpt_framework.export.mesh_files import vertex_normals
 from sculpt_framework.geometry.grid import grid_over_box
 from sculpt_framework.posed_images.training_images import prepare_images
 from sculpt_framework.reconstructor import Host, Moment, Reconstructor, StepReport
@@ -117,10 +118,7 @@ class VolumeReconstructor(Reconstructor):
     def colors(self) -> Float[np.ndarray, "v 3"]:
         """As seen along the normals."""
         mesh = self.mesh()
-        normals = np.zeros_like(mesh.vertices)
-        for corner in range(3):
-            np.add.at(normals, mesh.faces[:, corner], mesh.area_vectors)
-        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+        normals = vertex_normals(mesh.vertices, mesh.faces)
         points = self._box.to_object(torch.from_numpy(mesh.vertices)).float().to(self._device)
         inward = torch.from_numpy(-normals).float().to(self._device)
         both = zip(points.split(_POINTS_AT_ONCE), inward.split(_POINTS_AT_ONCE), strict=True)

@@ -34,7 +34,7 @@ from sculpt_framework.events import Event
 from sculpt_framework.export.atomic import cannot_write, remove_partial_files, write_atomically
 from sculpt_framework.frame import WorldFrame, frame_of, write_frame
 from sculpt_framework.observers import Observer, SteeringObserver
-from sculpt_framework.parallel.processes import gather, shared_commands
+from sculpt_framework.parallel.processes import ProcessLost, gather, shared_commands
 from sculpt_framework.plan.decision import write_plan
 from sculpt_framework.serialization import config_from_json, config_to_json
 from sculpt_framework.types import Camera, Rendering, Scene
@@ -142,9 +142,13 @@ def _train(session: Session, folder: Path, observers: Sequence[Observer], stop_r
     )
     if session.step > 0:
         steering.take_up(told_in(folder), session.step)
-    for _ in session:
-        if steering():
-            session.stop()
+    try:
+        for _ in session:
+            if steering():
+                session.stop()
+    except ProcessLost:  # Noticed within a step, or when commands are shared between two.
+        session.save_alone()
+        raise
     processes.close()
     if not processes.leads:
         return

@@ -108,11 +108,6 @@ class Session(Host):
                 yield self._advance(progress)
             if not self._finished:
                 self._finish()
-        except ProcessLost:
-            # Whoever is left saves: all hold the same.
-            self._alone()
-            self.save_checkpoint()
-            raise
         finally:
             self.clock.stop()
 
@@ -360,6 +355,12 @@ class Session(Host):
         return Report(step=self.step, progress=self._schedule.progress(self.step), loss=loss, terms=terms)
 
     # -- state ---------------------------------------------------------------------------------------------------
+
+    def save_alone(self) -> None:
+        """Where another process is lost, whoever is left saves: all hold the same."""
+        self._alone()
+        if self._begun:
+            self.save_checkpoint()
 
     def save_checkpoint(self) -> None:
         """Hand the whole state to whoever keeps it."""

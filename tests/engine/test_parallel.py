@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +18,11 @@ import torch
 from ranks import config_of
 from small_runs import small_config
 
-from sculpt_framework.engine.run import run
+from sculpt_framework.engine.checkpoint import read_checkpoint
+from sculpt_framework.engine.run import StopFlag, run
 from sculpt_framework.errors import ConfigError, DeviceError
 from sculpt_framework.evaluation.mesh import Mesh, load_mesh
-from sculpt_framework.parallel.processes import Alone, gather, shared_commands
+from sculpt_framework.parallel.processes import Alone, ProcessLost, Value, gather, shared_commands
 from sculpt_framework.serialization import read_config
 
 HERE = Path(__file__).parent
@@ -154,6 +156,23 @@ def test_one_process_pays_nothing(bare_scene: Path, tmp_path: Path, monkeypatch:
     assert called == []
     assert isinstance(gather({"WORLD_SIZE": "1"}, torch.device("cpu")), Alone)
     assert list(Alone().share(3)) == [0, 1, 2]
+
+
+def test_a_loss_that_shows_between_two_steps_is_saved(
+    bare_scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    class Deserted(Alone):
+        def first(self, make: Callable[[], Value]) -> Value:
+            if isinstance(make, StopFlag):  # Asked by the loop over the session, not by a step.
+                raise ProcessLost("process 1 of 2 has died")
+            return super().first(make)
+
+    monkeypatch.setattr("sculpt_framework.engine.run.gather", lambda environment, device: Deserted())
+    job = {"name": "run", "changes": {**SHORT, "steps": 3}}
+    with pytest.raises(ProcessLost, match="has died"):
+        run(config_of(job, str(bare_scene), tmp_path), resume=None, started=time.monotonic())
+    state, _ = read_checkpoint(tmp_path / "run" / "checkpoints")
+    assert state
 
 
 def test_what_torchrun_says_must_be_whole(monkeypatch: pytest.MonkeyPatch):

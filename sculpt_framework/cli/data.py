@@ -12,6 +12,7 @@ from sculpt_framework.cli import data_markers, exit_codes
 from sculpt_framework.cli.data_pose import add_pose_command, pose_photographs
 from sculpt_framework.ranges import require
 from sculpt_framework.validation import check_component
+from sculpt_framework.viewing.address import PORT
 
 if TYPE_CHECKING:
     import numpy as np
@@ -38,6 +39,8 @@ def data() -> None:
         _say(write_depth_maps(arguments.folder, arguments.out, arguments.pixels, arguments.downscale))
     elif arguments.command in data_markers.COMMANDS:
         _say(data_markers.run_command(arguments))
+    elif arguments.command == "box":
+        _say([choose_box(arguments.folder, arguments.port, arguments.downscale)])
     elif arguments.command == "pose":
         _say(pose_photographs(arguments))
     else:
@@ -93,6 +96,30 @@ def inspect(folder: str, picture: Path | None = None, downscale: int | None = No
         _write_picture(picture, contact_sheet(scene))
         lines.append(f"picture    {picture}")
     return lines
+
+
+def choose_box(folder: str, port: int, downscale: int | None) -> str:
+    """Show the box of a scene in the browser until a person is content with it, and return it as an option for a run.
+
+    Raises DataError, ConfigError.
+    """
+    from sculpt_framework.errors import DataError
+    from sculpt_framework.viewing.address import HOST, announce, check_address
+    from sculpt_framework.viewing.box_page import BoxPage
+
+    check_address(HOST, port, "--port")
+    try:
+        scene = _load(folder, downscale)
+    except DataError as error:
+        scene = _load(folder, downscale, masks="none")
+        sys.stderr.write(f"note: the box is that of the cameras alone; {error}\n")
+    page = BoxPage(scene, HOST, port)
+    announce(HOST, page.port)
+    try:
+        page.wait()
+        return page.words
+    finally:
+        page.close()
 
 
 def write_masks(folder: str, out: Path, downscale: int | None) -> list[str]:
@@ -188,9 +215,9 @@ def _check_new(folder: Path) -> None:
         raise OutputError(f"{folder}: exists and is not empty; give a new or an empty folder with --out.")
 
 
-def _load(folder: str, downscale: int | None) -> "Scene":
+def _load(folder: str, downscale: int | None, **options: str) -> "Scene":
     config = cast("DatasetConfig", registry.default("dataset", "auto"))
-    config = replace(config, **({} if downscale is None else {"downscale": downscale}))
+    config = replace(config, **options, **({} if downscale is None else {"downscale": downscale}))
     check_component(config)
     return config.build(folder).load()
 
@@ -253,6 +280,9 @@ def _parser() -> argparse.ArgumentParser:
     card = commands.add_parser("inspect", help="print what is in a scene, and what is unusual about it")
     card.add_argument("folder", metavar="DIR", help="scene folder, or demo:NAME")
     card.add_argument("--picture", type=Path, metavar="FILE", help="also a PNG of cameras, box, images and masks")
+    box = commands.add_parser("box", help="choose the box that a run works in, in the browser; print it as an option")
+    box.add_argument("folder", metavar="DIR", help="scene folder")
+    box.add_argument("--port", type=int, default=PORT, metavar="N", help="of the page (default: %(default)s)")
     masks = commands.add_parser("masks", help="write the masks a run would use, or those a finished run ended with")
     masks.add_argument("folder", metavar="DIR", help="scene folder, or the folder of a finished run")
     masks.add_argument("--out", type=Path, metavar="FOLDER", required=True, help="new or empty folder")
@@ -264,7 +294,7 @@ def _parser() -> argparse.ArgumentParser:
     depths.add_argument("--pixels", type=int, default=pixels, metavar="N", help=size)
     add_pose_command(commands)
     data_markers.add_commands(commands)
-    for command in (card, masks, depths):
+    for command in (card, box, masks, depths):
         command.add_argument("--downscale", type=int, metavar="N", help="read images at 1/N of their sides")
     return parser
 

@@ -14,7 +14,7 @@ import tyro
 
 from sculpt_framework.cli import exit_codes
 from sculpt_framework.errors import CheckpointError
-from sculpt_framework.viewing.address import PORT, check_address, url
+from sculpt_framework.viewing.address import HOST, PORT, announce, check_address, url
 
 if TYPE_CHECKING:
     from sculpt_framework.commands import Command
@@ -29,7 +29,7 @@ class ViewRequest:
 
     run_dir: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN_DIR")]
     """Run directory: of a run that has finished, goes on, or was killed."""
-    host: str = "127.0.0.1"
+    host: str = HOST
     """Address to listen on: one of this machine's own. Other machines come through an SSH tunnel."""
     port: int = PORT
     """Port to listen on."""
@@ -58,10 +58,7 @@ def view(words: Sequence[str]) -> None:
         _steer(request)
         return
     show = Show(request.run_dir, request.host, request.port)
-    sys.stdout.write(f"{url(request.host, show.port)}\n")
-    if "SSH_CONNECTION" in os.environ:
-        sys.stdout.write(f"from your own machine: ssh -L {show.port}:127.0.0.1:{show.port} HOST\n")
-    sys.stdout.flush()
+    announce(request.host, show.port)
     try:
         show.loop(threading.Event())
     finally:

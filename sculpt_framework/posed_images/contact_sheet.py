@@ -39,7 +39,18 @@ def contact_sheet(scene: Scene) -> Picture:
 
 def thumbnail(view: View, box: Box) -> Picture:
     """A view at the size of the sheet, named, with its mask and the edges of the box."""
-    factor = (_THUMB - 6) / max(view.camera.width, view.camera.height)
+    pixels = with_box(view, box, _THUMB - 6)
+    out = np.full((_THUMB, _THUMB, 3), 255, np.uint8)
+    out[3 : 3 + pixels.shape[0], 3 : 3 + pixels.shape[1]] = pixels
+    label = view.name[-20:]
+    cv2.putText(out, label, (5, _THUMB - 6), _FONT, 0.35, (255, 255, 255), 3, cv2.LINE_AA)
+    cv2.putText(out, label, (5, _THUMB - 6), _FONT, 0.35, _INK, 1, cv2.LINE_AA)
+    return out
+
+
+def with_box(view: View, box: Box, side: int) -> Picture:
+    """A view, its longer side so many pixels, with its mask and the edges of the box."""
+    factor = side / max(view.camera.width, view.camera.height)
     size = max(1, round(view.camera.width * factor)), max(1, round(view.camera.height * factor))
     image = np.asarray(cv2.resize(view.rgb.numpy(), size, interpolation=cv2.INTER_AREA)).clip(0, 1)
     pixels = np.rint(image * 255).astype(np.uint8)
@@ -49,12 +60,7 @@ def thumbnail(view: View, box: Box) -> Picture:
         outlines, _ = cv2.findContours((alpha[..., 0] > 0.5).astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
         cv2.drawContours(pixels, outlines, -1, _OUTLINE, 1)
     _draw_edges(pixels, box_edges(view.camera.resized(*size), box))
-    out = np.full((_THUMB, _THUMB, 3), 255, np.uint8)
-    out[3 : 3 + size[1], 3 : 3 + size[0]] = pixels
-    label = view.name[-20:]
-    cv2.putText(out, label, (5, _THUMB - 6), _FONT, 0.35, (255, 255, 255), 3, cv2.LINE_AA)
-    cv2.putText(out, label, (5, _THUMB - 6), _FONT, 0.35, _INK, 1, cv2.LINE_AA)
-    return out
+    return pixels
 
 
 def _draw_edges(pixels: Picture, edges: Float64[np.ndarray, "n 2 2"]) -> None:

@@ -3,9 +3,11 @@
 import ipaddress
 import os
 import socket
+import sys
 
 from sculpt_framework.errors import ConfigError
 
+HOST = "127.0.0.1"
 PORT = 7007
 
 
@@ -45,3 +47,11 @@ def is_loopback(host: str) -> bool:
 def url(host: str, port: int) -> str:
     """Where a browser finds the page."""
     return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
+
+
+def announce(host: str, port: int) -> None:
+    """Print where a browser finds the page, also from a machine that has logged in here."""
+    sys.stdout.write(f"{url(host, port)}\n")
+    if "SSH_CONNECTION" in os.environ:
+        sys.stdout.write(f"from your own machine: ssh -L {port}:127.0.0.1:{port} HOST\n")
+    sys.stdout.flush()

@@ -20,7 +20,7 @@ from sculpt_framework.commands import (
 from sculpt_framework.config import MethodConfig
 from sculpt_framework.registry import name_of
 from sculpt_framework.sculpting.config import SculptingConfig
-from sculpt_framework.viewing.layers import show_box
+from sculpt_framework.viewing.movable_box import MovableBox
 from sculpt_framework.viewing.stage import Stage
 
 _FIRST_SHARE = 0.3
@@ -48,8 +48,7 @@ class Controls:
             if isinstance(config, SculptingConfig):
                 self._add_terms(config)
                 self._add_box()
-        self._gizmo: viser.TransformControlsHandle | None = None
-        self._outline: viser.LineSegmentsHandle | None = None
+        self._box: MovableBox | None = None
 
     def _add_terms(self, config: SculptingConfig) -> None:
         gui = self._server.gui
@@ -73,7 +72,6 @@ class Controls:
             self._actions = [self._box_button(label, kind) for label, kind in _KINDS]
             self._button("Take all boxes back", ClearBoxes())
         self._place.on_click(lambda _: self._place_box())
-        self._size.on_update(lambda _: self._resize())
 
     def _button(self, label: str, command: Command) -> None:
         self._server.gui.add_button(label).on_click(lambda _: self._send(command))
@@ -99,36 +97,21 @@ class Controls:
 
     def _place_box(self) -> None:
         box = self._stage.box
-        if box is None or self._gizmo is not None:
+        if box is None or self._box is not None:
             return
         self._stage.hide_gaussians()
         low, high = box
         side = _FIRST_SHARE * float((high - low).max())
         # Out of the middle, towards where a page looks from: there it is seen.
         place = 0.5 * (low + high) + 0.3 * (high - low) * _TOWARDS_CAMERA
-        scene = self._server.scene
-        self._gizmo = scene.add_transform_controls(
-            "/gizmo", scale=side, disable_rotations=True, position=tuple(place), depth_test=False
-        )
-        half = np.full(3, 0.5)
-        self._outline = show_box(scene, "/gizmo/box", -half, half, visible=True)
-        self._outline.colors = np.array([230, 60, 120], dtype=np.uint8)
-        self._outline.scale = (side, side, side)
-        self._size.value = (side, side, side)
+        self._box = MovableBox(self._server.scene, self._size, place - 0.5 * side, place + 0.5 * side)
         self._size.visible = True
         for button in self._actions:
             button.visible = True
 
-    def _resize(self) -> None:
-        if self._outline is not None:
-            x, y, z = self._size.value
-            self._outline.scale = (x, y, z)
-
     def _send_box(self, kind: str) -> None:
-        if self._gizmo is None:
+        if self._box is None:
             return
-        center, half = np.asarray(self._gizmo.position, dtype=np.float64), 0.5 * np.asarray(self._size.value)
-        x0, y0, z0 = (center - half).tolist()
-        x1, y1, z1 = (center + half).tolist()
+        (x0, y0, z0), (x1, y1, z1) = (corner.tolist() for corner in self._box.corners)
         known = {"refine": "refine", "freeze": "freeze"}.get(kind, "ignore")
         self._send(AddBox(kind=known, minimum=(x0, y0, z0), maximum=(x1, y1, z1)))  # pyright: ignore[reportArgumentType]

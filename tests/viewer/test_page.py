@@ -186,8 +186,8 @@ def test_a_box_is_for_what_its_button_says(show: Show, sent: list[Command], kind
 def test_a_box_is_sent_in_world_frame(show: Show, sent: list[Command]):
     show.update()
     show.controls._place_box()
-    assert show.controls._gizmo is not None
-    show.controls._gizmo.position = (0.0, 1.0, 2.0)
+    assert show.controls._box is not None
+    show.controls._box._gizmo.position = (0.0, 1.0, 2.0)
     show.controls._size.value = (1.0, 2.0, 4.0)
     show.controls._send_box("refine")
     (command,) = sent

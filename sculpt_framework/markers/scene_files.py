@@ -43,9 +43,10 @@ def write_scene(folder: Path, posed: Sequence[PosedPhotograph], board: Board) ->
     try:
         place.mkdir(parents=True, exist_ok=True)
         for item in posed:
-            source = item.photograph.path
-            if not (place / source.name).exists():
-                shutil.copy2(source, place / source.name)
+            target = place / item.photograph.name
+            if not target.exists():
+                target.parent.mkdir(parents=True, exist_ok=True)
+                shutil.copy2(item.photograph.path, target)
     except OSError as error:
         raise cannot_write(folder, error) from error
     document = {"camera_model": "OPENCV", "frames": [_frame(item) for item in posed]}
@@ -55,7 +56,10 @@ def write_scene(folder: Path, posed: Sequence[PosedPhotograph], board: Board) ->
         "origin": [0.0, 0.0, 0.0],
         "side_mm": board.side,
         "residual_pixels": float(np.median([item.pose.pixel_error for item in posed])),
-        "cameras": {f"{IMAGES}/{item.photograph.path.stem}": item.pose.position.tolist() for item in posed[:5]},
+        "cameras": {
+            f"{IMAGES}/{Path(item.photograph.name).with_suffix('').as_posix()}": item.pose.position.tolist()
+            for item in posed[:5]
+        },
     }
     write_frame(WorldFrame(metres_per_unit=1.0, up=(0.0, 0.0, 1.0), evidence=evidence), folder)
     # Last: a folder with this file is a scene.
@@ -65,7 +69,7 @@ def write_scene(folder: Path, posed: Sequence[PosedPhotograph], board: Board) ->
 def _frame(item: PosedPhotograph) -> dict[str, object]:
     lens = item.lens
     return {
-        "file_path": f"{IMAGES}/{item.photograph.path.name}",
+        "file_path": f"{IMAGES}/{item.photograph.name}",
         "w": item.photograph.width,
         "h": item.photograph.height,
         "fl_x": lens.focal,

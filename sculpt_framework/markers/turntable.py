@@ -52,7 +52,7 @@ def pose_by_board(
         lens = _lens(points, [sightings[at] for at in own], photographs[own[0]], focal)
         if isinstance(lens, str):
             failures.append(f"{camera}: {lens}")
-            left_out |= {photographs[at].path.name: lens for at in own}
+            left_out |= {photographs[at].name: lens for at in own}
             continue
         lines.append(f"{camera}: {lens.said}")
         by_exif = photographs[own[0]].focal
@@ -61,7 +61,7 @@ def pose_by_board(
         for at in own:
             pose = pose_from_board(points, sightings[at], lens)
             if isinstance(pose, str):
-                left_out[photographs[at].path.name] = pose
+                left_out[photographs[at].name] = pose
             else:
                 posed.append(PosedPhotograph(photograph=photographs[at], lens=lens, pose=pose))
     if len(posed) < _LEAST:
@@ -70,7 +70,7 @@ def pose_by_board(
             f"{board.name}: {len(posed)} of {len(photographs)} photographs get a camera from the board, {_LEAST} are "
             f"needed ({why}). Show more of the board, from 30 to 60 degrees above it, or give --focal PIXELS."
         )
-    posed.sort(key=lambda item: item.photograph.path.name)
+    posed.sort(key=lambda item: item.photograph.name)
     return PosedByBoard(posed=posed, left_out=left_out, lines=[*lines, *_in_words(posed, left_out, len(photographs))])
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 from types import ModuleType
 
 import numpy as np
+from PIL import Image
 
 from sculpt_framework.errors import DataError
 
@@ -47,15 +48,19 @@ def read_heic(data: bytes, path: Path) -> tuple[np.ndarray | None, tuple[int, in
     return np.ascontiguousarray(pixels), (pixels.shape[1], pixels.shape[0])
 
 
-def heic_as_jpeg(path: Path) -> bytes:
-    """The image as a JPEG file, upright, with its EXIF. Raises DataError where it cannot be read."""
-    reader = _reader(path)
+def as_jpeg(path: Path) -> bytes:
+    """The image, HEIC or whatever Pillow reads, as a JPEG file with its EXIF; HEIC upright.
+
+    Raises DataError where it cannot be read.
+    """
     try:
-        image = reader.open_heif(path).to_pillow()
-    except (OSError, ValueError, EOFError, RuntimeError) as error:
-        raise DataError(f"{path}: cannot be read as HEIC ({error}); remove it, or convert it again.") from error
-    jpeg = BytesIO()
-    image.convert("RGB").save(jpeg, "JPEG", quality=_QUALITY, subsampling=0, exif=image.info.get("exif") or b"")
+        with open(path, "rb") as file:
+            heic = is_heic(file.read(64))
+        image = _reader(path).open_heif(path).to_pillow() if heic else Image.open(path)
+        jpeg = BytesIO()
+        image.convert("RGB").save(jpeg, "JPEG", quality=_QUALITY, subsampling=0, exif=image.info.get("exif") or b"")
+    except (OSError, ValueError, EOFError, RuntimeError, SyntaxError, Image.DecompressionBombError) as error:
+        raise DataError(f"{path}: cannot be read as an image ({error}); remove it, or convert it again.") from error
     return jpeg.getvalue()
 
 

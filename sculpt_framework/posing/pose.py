@@ -14,16 +14,17 @@ import numpy as np
 
 from sculpt_framework.errors import DataError, OutputError
 from sculpt_framework.export.atomic import cannot_write, write_atomically
-from sculpt_framework.posed_images.heic import heic_as_jpeg
+from sculpt_framework.posed_images.heic import as_jpeg
 from sculpt_framework.posed_images.masks import read_mask
 from sculpt_framework.posing import colmap
 from sculpt_framework.posing.announcer import Announcer
+from sculpt_framework.posing.joining import join
 from sculpt_framework.posing.lenses import Sorted, sort_by_lens
 from sculpt_framework.posing.options import PosingOptions
 from sculpt_framework.posing.outcome import NAME, Outcome, nothing_placed, read_outcome, reasons
 from sculpt_framework.posing.pairs import choose_pairs
 from sculpt_framework.posing.picture import draw_posing
-from sculpt_framework.posing.source import FEWEST, HEIC, Photographs, find_photographs, fingerprint, is_video
+from sculpt_framework.posing.source import CONVERTED, FEWEST, Photographs, find_photographs, fingerprint, is_video
 from sculpt_framework.posing.upright import upright_frame
 from sculpt_framework.posing.video import choose_frames, look_through, write_frames
 from sculpt_framework.threads import in_threads
@@ -122,7 +123,8 @@ def _carry_out(at_work: _Posing, found: Photographs | None) -> Outcome:
     colmap.match(database, named, options, at_work.tell("matching pairs"))
     at_work.keep(at_work.state)
     shutil.rmtree(work / "models", ignore_errors=True)
-    models = colmap.map_images(database, images, work / "models", options, at_work.tell("placing cameras"))
+    pieces = colmap.map_images(database, images, work / "models", options, at_work.tell("placing cameras"))
+    models = join(pieces, database, images, work / "joined")
     seen = colmap.matched(database)
     if not models:
         raise nothing_placed(at_work.data, seen, len(lenses.unreadable), masks is not None)
@@ -131,6 +133,8 @@ def _carry_out(at_work: _Posing, found: Photographs | None) -> Outcome:
     notes = (*photographs.notes, *lenses.notes)
     if masks is not None:
         notes = (*notes, f"features are those inside the masks of {sum(m is not None for m in photographs.masks)}.")
+    if len(models) < len(pieces):
+        notes = (*notes, f"{len(pieces)} pieces, of which {len(pieces) - len(models) + 1} are laid over each other.")
     outcome = Outcome(
         photographs=len(photographs.names),
         registered=len(colmap.world_to_cameras(model)),
@@ -197,21 +201,22 @@ def _frames(at_work: _Posing) -> Photographs:
 
 
 def _placed(found: Photographs, scene: Path) -> Photographs:
-    """The photographs and their masks inside the scene, where they are not there already; HEIC as JPEG."""
-    heic = [name for name in found.names if Path(name).suffix.lower() in HEIC]
-    if not heic and found.root.resolve() == (scene / "images").resolve():
+    """The photographs and their masks inside the scene, where they are not there already; ``CONVERTED`` as JPEG."""
+    converted = [name for name in found.names if Path(name).suffix.lower() in CONVERTED]
+    if not converted and found.root.resolve() == (scene / "images").resolve():
         return found
     names, masks = [], list[Path | None]()
     for name, mask in zip(found.names, found.masks, strict=True):
-        names.append(f"{name}.jpg" if name in heic else name)
+        names.append(f"{name}.jpg" if name in converted else name)
         target = scene / "images" / names[-1]
-        if name not in heic:
+        if name not in converted:
             _place(found.root / name, target)
         elif not target.exists():
             target.parent.mkdir(parents=True, exist_ok=True)
-            write_atomically(target, heic_as_jpeg(found.root / name))
+            write_atomically(target, as_jpeg(found.root / name))
         masks.append(None if mask is None else _place(mask, scene / "masks" / f"{names[-1]}{mask.suffix}"))
-    notes = (*found.notes, f"{len(heic)} HEIC photographs are written as JPEG.") if heic else found.notes
+    kinds = ", ".join(sorted({Path(name).suffix.lower()[1:] for name in converted}))
+    notes = (*found.notes, f"{len(converted)} photographs ({kinds}) are written as JPEG.") if converted else found.notes
     return Photographs(root=scene / "images", names=tuple(names), masks=tuple(masks), notes=notes)
 
 

@@ -11,12 +11,13 @@ from sculpt_framework.errors import DataError
 from sculpt_framework.posed_images.folders import contents
 from sculpt_framework.posed_images.masks import MASK_FOLDERS, find_masks, without_masks
 
-HEIC = (".heic", ".heif")
-PHOTOGRAPHS = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", *HEIC)
+CONVERTED = (".heic", ".heif", ".webp", ".avif")
+"""What pycolmap does not read: the scene gets JPEGs."""
+PHOTOGRAPHS = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", *CONVERTED)
 VIDEOS = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mts")
 FEWEST = 3
 _IMAGE_FOLDERS = ("images", "image")
-_RAW = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2", ".webp", ".avif")
+_RAW = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2")
 """Photographs that are not read; a message names them."""
 
 
@@ -64,9 +65,11 @@ def find_photographs(folder: Path) -> Photographs:
     files = {path for path in root.rglob("*") if path.suffix.lower() in PHOTOGRAPHS and path.is_file()}
     by_folder = groupby(sorted(file for file in files if not _set_aside(file.relative_to(root))), lambda at: at.parent)
     paths = sorted(path for _, beside in by_folder for path in without_masks(list(beside)))
-    # What an earlier call has made of a HEIC file beside it is not another photograph.
+    # What an earlier call has made of a file beside it is not another photograph.
     paths = [
-        path for path in paths if path.with_suffix("").suffix.lower() not in HEIC or path.with_suffix("") not in files
+        path
+        for path in paths
+        if path.with_suffix("").suffix.lower() not in CONVERTED or path.with_suffix("") not in files
     ]
     names = tuple(path.relative_to(root).as_posix() for path in paths)
     if len(names) < FEWEST:

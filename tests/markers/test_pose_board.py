@@ -141,6 +141,28 @@ def test_mirrored_photographs_are_told(ring_images: list[np.ndarray], tmp_path: 
         posed(write_images(tmp_path / "shots", images))
 
 
+def test_photographs_of_any_kind_below_the_folder_are_taken(
+    ring_images: list[np.ndarray], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    heif = pytest.importorskip("pillow_heif")
+    shots = write_images(tmp_path / "shots", ring_images[:6])
+    (shots / "second").mkdir()
+    for number, image in enumerate(ring_images[6:]):
+        # One name twice, in two folders.
+        assert cv2.imwrite(str(shots / "second" / f"p0{number}.webp"), image, [cv2.IMWRITE_WEBP_QUALITY, 101])
+    picture = Image.open(shots / "p05.png").convert("RGB")
+    (shots / "p05.png").unlink()
+    heif.from_pillow(picture).save(shots / "p05.heic", quality=95)
+    run(monkeypatch, shots, "--board", "ring-5x6-30", "--out", tmp_path / "scene")
+    scene = NerfstudioConfig(masks="none").build(str(tmp_path / "scene")).load()
+    assert len(scene.train) == len(ring_images)
+    known = dict(zip((f"p{number:02d}" for number in range(6)), around(8), strict=False))
+    for view in scene.train:
+        if "second" not in view.name:
+            true = known[Path(view.name).stem]
+            assert np.linalg.norm(view.camera.position.numpy() + true[:3, :3].T @ true[:3, 3]) < 3e-3 * AWAY
+
+
 def test_what_cannot_be_done_is_told_before_anything_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     shots = write_images(tmp_path / "shots", [np.full((48, 64), 90, np.uint8)] * 3)
     out = tmp_path / "scene"
@@ -148,8 +170,9 @@ def test_what_cannot_be_done_is_told_before_anything_is_written(tmp_path: Path, 
         run(monkeypatch, shots, "--board", "ring-5x6-30", "--out", out)
     with pytest.raises(ConfigError, match="single markers lie anywhere"):
         run(monkeypatch, shots, "--board", "single-4-40", "--out", out)
-    with pytest.raises(DataError, match="no photographs; found shots/"):
-        run(monkeypatch, tmp_path, "--board", "ring-5x6-30", "--out", out)
+    (tmp_path / "empty" / "notes").mkdir(parents=True)
+    with pytest.raises(DataError, match=r"no photographs; expected .*; found notes/"):
+        run(monkeypatch, tmp_path / "empty", "--board", "ring-5x6-30", "--out", out)
     assert not out.exists()
     out.mkdir()
     (out / "notes.txt").write_text("mine")

@@ -119,6 +119,20 @@ def test_heic_photographs_become_jpegs_of_the_scene(tmp_path: Path):
         assert float(image.getexif().get_ifd(0x8769)[0x920A]) == pytest.approx(4.2)
 
 
+def test_webp_photographs_become_jpegs_of_the_scene(tmp_path: Path):
+    for number in range(3):
+        Image.new("RGB", (64, 48), (90, 40 * number, 30)).save(tmp_path / f"{number}.webp", lossless=True)
+    with pytest.raises(DataError):
+        pose(tmp_path, tmp_path / "out", PosingOptions(), Silent())
+    made = sorted((tmp_path / "out" / "images").iterdir())
+    assert [path.name for path in made] == ["0.webp.jpg", "1.webp.jpg", "2.webp.jpg"]
+    with Image.open(made[1]) as image:
+        assert np.abs(np.asarray(image).mean(axis=(0, 1)) - (90, 40, 30)).max() < 4
+    (tmp_path / "1.webp").write_bytes(b"RIFF....WEBP")
+    with pytest.raises(DataError, match=r"1\.webp: cannot be read as an image"):
+        pose(tmp_path, tmp_path / "again", PosingOptions(), Silent())
+
+
 def test_files_that_are_no_photographs_are_named(tmp_path: Path):
     for index in range(3):
         (tmp_path / f"{index}.jpg").write_bytes(b"\xff\xd8\xff not an image")

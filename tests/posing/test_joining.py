@@ -1,0 +1,54 @@
+"""Pieces of a mapping that overlap become one."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from textured_box import photographs, save
+
+from sculpt_framework.posing import colmap
+from sculpt_framework.posing.joining import join
+from sculpt_framework.posing.options import PosingOptions
+
+pycolmap = pytest.importorskip("pycolmap")
+
+
+def ignore(done: int, total: int) -> None:
+    pass
+
+
+@pytest.mark.slow
+def test_pieces_that_share_photographs_are_laid_over_each_other(tmp_path: Path):
+    shots = photographs(tuple(range(0, 80, 10)))
+    names = []
+    for index, name in enumerate(save(shots, tmp_path / "images" / "0")):
+        names.append(f"0/{index}.jpg")  # A list of pairs cannot have spaces in names.
+        (tmp_path / "images" / "0" / name).rename(tmp_path / "images" / names[-1])
+    database, images, options = tmp_path / "database.db", tmp_path / "images", PosingOptions(threads=1)
+    colmap.require_pycolmap()
+    colmap.extract(database, images, names, None, options, ignore)
+    pairs = [(first, second) for index, first in enumerate(names) for second in names[index + 1 :]]
+    colmap.match(database, pairs, options, ignore)
+    (whole,) = colmap.map_images(database, images, tmp_path / "models", options, ignore)
+    assert whole.num_reg_images() == len(names)
+
+    def piece(without: list[str]):
+        made = pycolmap.Reconstruction(whole)
+        for image in list(made.images.values()):
+            if image.name in without:
+                made.deregister_frame(image.frame_id)
+        made.tear_down()  # As mapping leaves it: photographs without a camera are not in it.
+        return made
+
+    first, second, third = piece(names[6:]), piece(names[:2]), piece(names[1:])
+    turned = pycolmap.Rotation3d(np.array([0.1, 0.2, 0.3, 0.9]) / np.linalg.norm([0.1, 0.2, 0.3, 0.9]))
+    second.transform(pycolmap.Sim3d(2.0, turned, np.array([1.0, 2.0, 3.0])))
+    third.delete_all_points2D_and_points3D()  # Nothing to lay it by.
+    joined, apart = join([first, second, third], database, images, tmp_path / "joined")
+    assert apart is third
+    found, known = colmap.world_to_cameras(joined), colmap.world_to_cameras(whole)
+    assert found.keys() == known.keys()
+    for name, pose in known.items():
+        assert found[name] == pytest.approx(pose, abs=0.05)
+    assert joined.compute_mean_reprojection_error() < 1.3 * whole.compute_mean_reprojection_error()
+    assert [each.num_reg_images() for each in join([first], database, images, tmp_path / "one")] == [6]

@@ -62,6 +62,7 @@ def sculpt(installed: Path, module: str, *more: str) -> str:
     return done.stdout
 
 
+@pytest.mark.slow
 def test_it_trains_is_evaluated_and_reported(installed: Path, scenes: Path, tmp_path: Path):
     out = tmp_path / "run"
     told = sculpt(installed, "train", "ball", "--data", str(scenes / "one"), "--output", str(out), "--rate", "0.8")

@@ -90,6 +90,7 @@ def test_what_it_stands_on_may_stay():
     assert min(covered) > 1.5 * max(float(view.alpha.mean()) for view in truth if view.alpha is not None)
 
 
+@pytest.mark.slow
 def test_a_bare_table_is_no_object():
     said = find_object(ring(OnTable(radius=0)), [], SEED)
     assert isinstance(said, str)

@@ -182,6 +182,7 @@ def test_colours_that_break_are_those_of_training_on_as_many_gaussians(scene: Sc
     assert any("colours are as training left them" in str(event.data) for event in events)
 
 
+@pytest.mark.slow
 def test_a_slow_start_takes_nothing_from_the_rates(scene: Scene, monkeypatch: pytest.MonkeyPatch):
     """A tenth of the time given is gone when optimisation begins; it begins with full rates."""
     from sculpt_framework.sculpting import method
@@ -261,6 +262,7 @@ def test_ctrl_c_saves_and_resume_ends_as_if_unbroken(
     assert capsys.readouterr().out.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_a_run_without_a_recorder_can_be_looked_at_and_gone_on_with(
     config: MethodConfig, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ):
@@ -386,6 +388,7 @@ def fail_for(monkeypatch: pytest.MonkeyPatch, name: str, error: OSError) -> Call
     return lambda: monkeypatch.setattr(atomic.os, "replace", original)
 
 
+@pytest.mark.slow
 def test_a_disk_full_at_the_end_loses_nothing(config: MethodConfig, monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     free = fail_for(monkeypatch, "mesh.ply", OSError(errno.ENOSPC, "No space left on device"))
     with pytest.raises(OutputError, match=r"mesh\.ply \(No space left on device\)"):

@@ -60,6 +60,7 @@ def test_a_method_that_begins_with_silhouettes_itself_is_left_alone(scene: Scene
     assert not shaping(train(small_config(initializer=SphereConfig(), steps=2, stages=own), scene))
 
 
+@pytest.mark.slow
 def test_a_time_limit_leaves_most_for_the_stages(scene: Scene, monkeypatch: pytest.MonkeyPatch):
     """With steps that do not end of themselves."""
     monkeypatch.setattr(silhouettes_first, "_STEPS", 1_000_000)

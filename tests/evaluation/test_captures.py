@@ -115,6 +115,7 @@ def test_from_words_to_table_and_page(captures: Path, capsys: pytest.CaptureFixt
     assert float(changed["distance"]) == pytest.approx(0.08 * RADIUS, rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_mesh_or_capture_that_cannot_be_measured_is_a_row_that_says_why(captures: Path):
     (captures / "ball" / "openmvs.ply").write_text("no mesh")
     (captures / "bare" / "images" / "3.png").write_bytes(b"no image")

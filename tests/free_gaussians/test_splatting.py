@@ -141,6 +141,7 @@ def test_it_learns_and_is_drawn_as_it_was(tmp_path: Path):
     assert torch.allclose(drawn.rgb, own.rgb, atol=2e-3)
 
 
+@pytest.mark.slow
 def test_gone_on_with_it_is_what_it_would_have_been():
     states: dict[int, dict[str, torch.Tensor]] = {}
     session = sculpt.Session(small_scene(), small(40))

@@ -49,6 +49,7 @@ def check_report(report: dict, kills: int) -> None:
     assert report["different"] == []
 
 
+@pytest.mark.slow
 def test_killed_runs_end_as_unbroken_ones(small_scene: Path, tmp_path: Path):
     check_report(killed(small_scene, tmp_path, 3, 500), 3)
 

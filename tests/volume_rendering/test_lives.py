@@ -53,6 +53,7 @@ def test_it_learns_the_shape_and_is_drawn_as_it_was(folder: Path, tmp_path: Path
         saved.config.renderer(tmp_path / "run", saved.scene)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_gone_on_with_it_is_what_it_would_have_been(name: str):
     states: dict[int, dict[str, torch.Tensor]] = {}

@@ -5,7 +5,7 @@
 
 writes ``bulldozer``, ``crane``, ``drums``, ``chair`` or ``microphone`` in NeRF-Synthetic layout, with the union of the
 parts as ``gt_mesh.ply``; about two seconds a view on two cores. All are seen from the upper half only. Nothing of the
-project needs Blender; docs/ideas.md and docs/limits.md say what these scenes showed.
+project needs Blender; docs/laboratory/ideas.md and docs/background/limits.md say what these scenes showed.
 """
 
 import argparse

@@ -1,4 +1,4 @@
-"""The table and the picture of docs/multi-resolution.md: ``python docs/make_extraction_cost.py FILE``.
+"""The table and the picture of docs/background/multi-resolution.md: ``python docs/make_extraction_cost.py FILE``.
 
 FILE is what ``sculpt-bench extract --json`` has written.
 """
@@ -15,7 +15,7 @@ from sculpt_framework.evaluation.drawing import Drawing
 from sculpt_framework.evaluation.drawing_png import to_png
 from sculpt_framework.export.atomic import write_atomically
 
-PAGE = Path(__file__).parent / "multi-resolution.md"
+PAGE = Path(__file__).parent / "background" / "multi-resolution.md"
 PICTURE = Path(__file__).parent / "pictures" / "extraction-cost.png"
 
 Row = Mapping[str, Any]

@@ -1,4 +1,4 @@
-"""The table and the picture of docs/splat-surface.md: ``python docs/make_outline.py``, some minutes on one core.
+"""The table and picture of docs/background/splat-surface.md: ``python docs/make_outline.py``, some minutes on one core.
 
 Offsets of the outline of freshly bound Gaussians from that of their mesh, of the default method, over shapes, grids,
 images and Gaussians per face; in the picture also with ``--binder.no-fit-outline``, where Gaussians lie on their faces.
@@ -26,7 +26,7 @@ from sculpt_framework.testing.splat_surface import (
 from sculpt_methods.sculpting import gaussian_sculpting
 from sculpt_plugins.binders.face_barycentric.config import FaceBarycentricConfig
 
-PAGE = Path(__file__).parent / "splat-surface.md"
+PAGE = Path(__file__).parent / "background" / "splat-surface.md"
 PICTURE = Path(__file__).parent / "pictures" / "splat-surface.png"
 GRIDS, IMAGES, PER_FACE, VIEWS = (32, 64, 128), (100, 200, 400), (1, 3, 6), 4
 MEAN_BAR, P95_BAR = 0.1, 0.3

@@ -1,4 +1,4 @@
-"""The tables and the picture of docs/stability.md: ``python docs/make_stability.py FILE ...``.
+"""The tables and the picture of docs/laboratory/stability.md: ``python docs/make_stability.py FILE ...``.
 
 Each FILE is what ``sculpt-stress --json`` has written, of all groups or of some; a case in several files counts as in
 the last one. Groups that no file has keep the table they have.
@@ -16,7 +16,7 @@ from sculpt_framework.evaluation.drawing import Drawing
 from sculpt_framework.evaluation.drawing_png import to_png
 from sculpt_framework.export.atomic import write_atomically
 
-PAGE = Path(__file__).parent / "stability.md"
+PAGE = Path(__file__).parent / "laboratory" / "stability.md"
 PICTURE = Path(__file__).parent / "pictures" / "safe-range.png"
 
 Row = Mapping[str, Any]

@@ -1,4 +1,4 @@
-"""Fill in the tables of docs/choices.md from the code: ``python docs/make_tables.py``; with ``--check`` only compare.
+"""Fill in the tables of docs/background/choices.md from the code: ``python docs/make_tables.py``; ``--check`` compares.
 
 Two kinds of table. Rows that begin with an option (`` | `binder.scale` | ``) get the option's value in both methods.
 What is between ``<!-- NAME -->`` and ``<!-- end -->`` is written whole. Reasons stay as people wrote them.
@@ -15,7 +15,7 @@ from sculpt_framework.sculpting.config import SculptingConfig
 from sculpt_methods.paper import gaussian_sculpting_paper
 from sculpt_methods.sculpting import gaussian_sculpting
 
-PAGE = Path(__file__).parent / "choices.md"
+PAGE = Path(__file__).parent / "background" / "choices.md"
 ABSENT = "–"
 _ROW = re.compile(r"^\| `([a-z0-9_.-]+)` \|[^|]*\|[^|]*\| (.*)\|$", re.MULTILINE)
 _NAMED_VALUE = re.compile(r"^\s*(?:(\w+)=)?(.*?),?\s*# (.*)$")
@@ -93,7 +93,7 @@ def main() -> int:
     new = filled(page)
     if "--check" in sys.argv[1:]:
         if new != page:
-            sys.stderr.write("docs/choices.md is not what the code says; run python docs/make_tables.py\n")
+            sys.stderr.write("docs/background/choices.md is not what the code says; run python docs/make_tables.py\n")
         return int(new != page)
     PAGE.write_text(new, encoding="utf-8")
     return 0

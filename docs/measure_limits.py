@@ -1,4 +1,4 @@
-"""What few sides and few cells do to a result: the tables and the picture of docs/limits.md.
+"""What few sides and few cells do to a result: the tables and the picture of docs/background/limits.md.
 
     python docs/measure_limits.py views [--scenes demo:dents ...] [--seen-from above front] [--max-time 180] [--out DIR]
                                         [--starts sphere visual-hull photo-hull] [--fields hash-grid mlp]

@@ -5,7 +5,7 @@
 DATA and OPTIONS are as for sculpt-train. Four runs of a few steps, each process with one thread (OMP_NUM_THREADS says
 otherwise): one process with a view per inner step, one process with as many as there will be processes, the processes
 with the same views, and the processes with as many views each as the one had. The model is made of the second and
-held against the third. The tables of docs/scaling.md are its output.
+held against the third. The tables of docs/guide/scaling.md are its output.
 """
 
 import argparse

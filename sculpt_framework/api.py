@@ -24,7 +24,7 @@ from sculpt_framework.validation import check_component
 
 def load(data: str | Path, dataset: DatasetConfig | None = None) -> Scene:
     """The scene in a folder, or ``demo`` or ``demo:NAME``. The layout is recognised where no ``dataset`` says it;
-    photographs without cameras, and a video, are posed first (docs/posing.md).
+    photographs without cameras, and a video, are posed first (docs/guide/posing.md).
 
     Raises ConfigError for options out of range, DataError for data that cannot be used, with what was found and what is
     expected.

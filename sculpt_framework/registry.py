@@ -2,6 +2,7 @@
 
 Two sources: the table of built-ins (``sculpt_plugins/builtin.py``) and the entry points of installed packages, one
 group per slot (``sculpt_framework.fields`` and so on), ``sculpt_framework.methods`` and ``sculpt_framework.exporters``.
+What is in neither goes by its place, "module:class": a notebook's own loss needs no package.
 A package that is broken, or that takes a name another one has, disturbs nothing until that name is chosen.
 """
 
@@ -147,16 +148,20 @@ def slot_of(config: ComponentConfig) -> Slot:
 
 
 def name_of(config: ComponentConfig) -> str:
-    """The name a component's config class is registered under. Imports nothing. Raises ConfigError if it is not."""
+    """The name a component's config class is registered under; of one that is not, where it is, "module:class", by
+    which ``load`` finds it as well. Imports nothing. Raises ConfigError for a class inside of a function."""
     slot = slot_of(config)
     for sharing in _candidates(slot.group, BUILTIN[slot.name]).values():
         for candidate in sharing:
             if candidate.is_loaded_as(type(config)):
                 return candidate.name
-    raise ConfigError(
-        f"{type(config).__module__}.{type(config).__qualname__} is not registered as a {slot.one}. Add it to the entry "
-        f"points {slot.group!r} of its package, and install that package again."
-    )
+    kind = type(config)
+    if "<locals>" in kind.__qualname__:
+        raise ConfigError(
+            f"{kind.__module__}.{kind.__qualname__} is not registered as a {slot.one}, and cannot be found by its "
+            f"place. Write it outside of the function, or add it to the entry points {slot.group!r} of a package."
+        )
+    return f"{kind.__module__}:{kind.__qualname__}"
 
 
 def method_names() -> tuple[str, ...]:
@@ -219,6 +224,8 @@ def _default(place: Slot, table: Mapping[str, str], name: str) -> ComponentConfi
 
 
 def _choose(candidates: Mapping[str, tuple[Candidate, ...]], name: str, what: str) -> Candidate:
+    if ":" in name:
+        return Candidate(name=name, package=name.partition(".")[0].partition(":")[0], value=name)
     known = spelled(name, candidates)
     if known is None:
         near = closest(name.replace("_", "-"), candidates)

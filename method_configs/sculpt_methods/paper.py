@@ -1,4 +1,4 @@
-"""The paper to the letter. Where it gives a number, the place is named; where it gives none, see docs/choices.md."""
+"""The paper to the letter. Where it gives a number, the place is named; else see docs/background/choices.md."""
 
 from dataclasses import replace
 

@@ -31,7 +31,7 @@ def gaussian_sculpting() -> SculptingConfig:
         method="gaussian-sculpting",
         steps=80,
         level_gain_db=0.3,
-        # Fewer colour steps cost more than they spare (docs/plan.md).
+        # Fewer colour steps cost more than they spare (docs/background/plan.md).
         plan=PlanConfig(mode="on", inner_steps="off"),
         field=HashGridFieldConfig(),
         extractor=FlexiCubesConfig(damp_grazing=True),

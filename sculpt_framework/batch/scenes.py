@@ -10,7 +10,7 @@ from sculpt_framework.experiments.plan import Cell, Plan, PlannedScene, folder_n
 REFUSED_OPTIONS = ("--data", "--output", "--resume", "--viewer", "--refine-box")
 """What a batch sets itself, run by run, or what makes no sense for many runs."""
 _MARKS = ("transforms*.json", "cameras*.npz", "sparse", "render/transforms.json")
-"""What lies in a folder that is one scene, in the layouts of docs/data.md."""
+"""What lies in a folder that is one scene, in the layouts of docs/guide/data.md."""
 
 
 def find_scenes(given: str) -> tuple[PlannedScene, ...]:

@@ -39,8 +39,8 @@ class AblateRequest:
     """What is varied: Table 3; neural or discrete SDF; gradient isolation; warm or cold start of the inner loop; and,
     on photographs, what the surface starts and learns from."""
     plan: Flag = False
-    """Compare the method planned for each scene with everything on (docs/plan.md), in place of any factor. As many
-    steps as the method says, unless --budget is given."""
+    """Compare the method planned for each scene with everything on (docs/background/plan.md), in place of any factor.
+    As many steps as the method says, unless --budget is given."""
     full: Flag = False
     """Run every combination of the factors instead of one change at a time."""
     equal: tuple[Literal["seconds", "steps"], ...] = ("seconds",)

@@ -199,7 +199,9 @@ def _options_type(config: MethodConfig) -> type[MethodConfig]:
 
 def _plan_options(plan: PlanConfig) -> list[tuple[str, Any, Any]]:
     """``--plan on|off`` and a switch for each item."""
-    whole = tyro.conf.arg(name="plan", help="Decide from the scene's data what this run does without (docs/plan.md).")
+    whole = tyro.conf.arg(
+        name="plan", help="Decide from the scene's data what this run does without (docs/background/plan.md)."
+    )
     item = tyro.conf.arg(metavar="on|off", help_behavior_hint="")
     items = make_dataclass(
         "Items",

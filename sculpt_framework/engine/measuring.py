@@ -48,6 +48,12 @@ class Measuring:
             measured = self.processes.first(measure)
         self.milestones.charge(seconds := self._clock.now - began)
         if measured is not None:
-            row = {"reason": reason, "progress": progress, "t_cpu_s": self._clock.cpu_seconds, **measured}
+            clock = self._clock
+            seconds_so_far = {
+                "t_train_s": clock.train_seconds,
+                "t_wall_s": clock.wall_seconds,
+                "t_cpu_s": clock.cpu_seconds,
+            }
+            row = {"reason": reason, "progress": progress, **seconds_so_far, **measured}
             self.milestones.add(progress, row)
             self._tell("evaluation", {**row, "seconds": seconds})

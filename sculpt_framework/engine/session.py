@@ -249,7 +249,7 @@ class Session(Host):
 
     @property
     def curve(self) -> Sequence[Mapping[str, Any]]:
-        """What was measured so far, a row each, as in curve.csv (docs/measures.md)."""
+        """What was measured so far, a row each, as in curve.csv (docs/reference/measures.md)."""
         return [dict(row) for row in self._milestones.rows]
 
     def save(self, folder: Path | str) -> dict[str, Path]:

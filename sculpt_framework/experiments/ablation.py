@@ -1,6 +1,6 @@
 """The paper's ablations as settings of ``sculpt-train``: what each factor stands for here, and how factors combine.
 
-Which of our components make the paper's constraints is decided in docs/experiments.md; this is where it is done.
+Which of our components make the paper's constraints is decided in docs/laboratory/experiments.md, and done here.
 """
 
 import itertools
@@ -30,7 +30,7 @@ DISTRIBUTION_OFF = frozenset({"no-distribution", "only-opacity", "none"})
 FACTORS = ("constraints", "field", "isolation", "start")
 """The paper's ablations."""
 EVIDENCE = "evidence"
-"""What the surface starts and learns from, where a plan decides it by the photographs (docs/plan.md)."""
+"""What the surface starts and learns from, where a plan decides it by the photographs (docs/background/plan.md)."""
 DEFAULT = "default"
 """The setting that changes nothing."""
 

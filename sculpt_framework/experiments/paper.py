@@ -1,8 +1,8 @@
 """The paper's own figures, as printed there, with their place: what our tables are shown beside.
 
-They are copied as they are, mistakes included; docs/experiments.md lists what is odd about them. The paper does not say
-how its Chamfer distance (CD) is defined: squared or not, sum or mean of both directions, how many samples, in which
-units. So its figures and ours stand in separate rows, and no row mixes them.
+They are copied as they are, mistakes included; docs/laboratory/experiments.md lists what is odd about them. The paper
+does not say how its Chamfer distance (CD) is defined: squared or not, sum or mean of both directions, how many samples,
+in which units. So its figures and ours stand in separate rows, and no row mixes them.
 """
 
 import math

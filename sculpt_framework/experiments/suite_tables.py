@@ -102,7 +102,8 @@ def notes(suite: Suite) -> list[str]:
     if suite.paper is not None:
         lines.append(
             "the paper does not define its CD and its units, and its means leave failures out: read its table for the "
-            "order of its methods, not against ours figure by figure. docs/experiments.md lists what is odd in it."
+            "order of its methods, not against ours figure by figure. docs/laboratory/experiments.md lists what is "
+            "odd in it."
         )
     if suite.name == "omniobject3d":
         lines.append("the paper names categories and not scans: these objects need not be its own.")

@@ -49,7 +49,7 @@ def require_pycolmap() -> None:
     except ImportError as error:
         raise ComponentImportError(
             f"finding the cameras of photographs needs pycolmap ({error}); pip install 'gaussian-sculpting[pose]', or "
-            "give photographs with cameras (docs/data.md)."
+            "give photographs with cameras (docs/guide/data.md)."
         ) from error
     module.logging.minloglevel = module.logging.Level.FATAL.value
     # It prints the stack on SIGTERM, which is no fault here.

@@ -104,7 +104,7 @@ Switch = Literal["on", "off"]
 
 @dataclass(frozen=True, kw_only=True)
 class PlanConfig:
-    """What a run decides by itself from what the scene's data show (docs/plan.md).
+    """What a run decides by itself from what the scene's data show (docs/background/plan.md).
 
     An item that is None follows ``mode``; ``off`` leaves it as the method and the command line have it. What the
     command line has set otherwise than the method is never decided.

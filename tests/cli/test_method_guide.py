@@ -1,4 +1,4 @@
-"""docs/writing-a-method.md, tried: its package is installed, and its method lives the whole life of a run."""
+"""docs/guide/writing-a-method.md, tried: its package is installed, and its method lives the whole life of a run."""
 
 import json
 import os
@@ -16,7 +16,7 @@ from sculpt_framework.demo_scenes.objects import demo_object
 from sculpt_framework.evaluation.curve import read_curve
 from sculpt_framework.viewing.frames import read_frame, step_files
 
-GUIDE = Path(__file__).parents[2] / "docs" / "writing-a-method.md"
+GUIDE = Path(__file__).parents[2] / "docs" / "guide" / "writing-a-method.md"
 PROGRAM = "import sys; from importlib import import_module; import_module(sys.argv.pop(1)).main()"
 
 

@@ -1,4 +1,4 @@
-"""docs/writing-a-plugin.md, tried: its files are written, installed by pip into a folder, and used from there."""
+"""docs/guide/writing-a-plugin.md, tried: its files are written, installed by pip into a folder, and used from there."""
 
 import os
 import re
@@ -12,7 +12,7 @@ import pytest
 from sculpt_framework.demo_scenes.folder import DemoSettings, write_scene
 from sculpt_framework.demo_scenes.objects import demo_object
 
-GUIDE = Path(__file__).parents[2] / "docs" / "writing-a-plugin.md"
+GUIDE = Path(__file__).parents[2] / "docs" / "guide" / "writing-a-plugin.md"
 
 
 def guide_files() -> dict[str, str]:

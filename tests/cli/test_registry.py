@@ -140,12 +140,22 @@ def test_unreadable_metadata_of_one_package_hides_no_other(install):
     assert "waves" in registry.names("field")
 
 
-def test_an_unregistered_config_has_no_name(install):
+def test_an_unregistered_config_goes_by_its_place(install):
     install("sculpt-waves", {}, sculpt_waves=FIELD)
     from sculpt_waves import WavesConfig  # pyright: ignore[reportMissingImports]
 
-    with pytest.raises(ConfigError, match=r"sculpt_waves\.WavesConfig is not registered as a field"):
-        registry.name_of(WavesConfig())
+    assert registry.name_of(WavesConfig()) == "sculpt_waves:WavesConfig"
+    assert registry.load("field", "sculpt_waves:WavesConfig") is WavesConfig
+    with pytest.raises(ComponentImportError, match="'sculpt_waves:Nothing' of package 'sculpt_waves' cannot be"):
+        registry.load("field", "sculpt_waves:Nothing")
+    with pytest.raises(ComponentImportError, match="not a dataclass derived from LossConfig"):
+        registry.load("losses", "sculpt_waves:WavesConfig")
+
+    class Inner(WavesConfig):
+        pass
+
+    with pytest.raises(ConfigError, match="Inner is not registered as a field, and cannot be found by its place"):
+        registry.name_of(Inner())
 
 
 def test_listing_names_imports_no_plug_in():

@@ -114,7 +114,7 @@ def test_needles_and_points_have_finite_penalties(form):
 
 
 def test_starts_satisfy_what_their_number_allows():
-    """The placement tables against the losses they start under (docs/choices.md)."""
+    """The placement tables against the losses they start under (docs/background/choices.md)."""
     coverage = {k: float(CoverageConfig().build()(with_barycentrics(placement(k)[None]))) for k in (3, 4, 6, 9, 12)}
     assert coverage[12] <= coverage[3]
     assert all(value < 0.35 for value in coverage.values())

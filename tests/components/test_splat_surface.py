@@ -1,4 +1,4 @@
-"""The outline of the Gaussians is the outline of the mesh (docs/splat-surface.md)."""
+"""The outline of the Gaussians is the outline of the mesh (docs/background/splat-surface.md)."""
 
 import functools
 import math

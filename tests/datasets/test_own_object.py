@@ -1,4 +1,4 @@
-"""The commands of docs/own-object.md, as they stand there, on photographs with a sparse model of COLMAP."""
+"""The commands of docs/guide/own-object.md, as they stand there, on photographs with a sparse model of COLMAP."""
 
 import re
 import shlex
@@ -13,7 +13,7 @@ import pytest
 import trimesh
 from layouts import make_shots, save_jpeg, write_colmap
 
-PAGE = Path(__file__).parents[2] / "docs" / "own-object.md"
+PAGE = Path(__file__).parents[2] / "docs" / "guide" / "own-object.md"
 MODULES = {"sculpt-data": "data", "sculpt-train": "train", "sculpt-export": "export"}
 
 

@@ -1,4 +1,4 @@
-"""The reference meshes of the demo scenes are as near to the analytic surfaces as docs/measures.md says."""
+"""The reference meshes of the demo scenes are as near to the analytic surfaces as docs/reference/measures.md says."""
 
 import numpy as np
 import pytest

@@ -20,7 +20,7 @@ from sculpt_framework.evaluation.mesh import load_mesh
 from sculpt_framework.events import Event
 from sculpt_framework.stress.small import small_method, small_scene
 
-QUICK_START = Path(__file__).parents[2] / "docs" / "quick-start.md"
+QUICK_START = Path(__file__).parents[2] / "docs" / "guide" / "quick-start.md"
 
 
 @pytest.fixture(scope="module")

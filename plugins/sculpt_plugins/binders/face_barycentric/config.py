@@ -23,7 +23,7 @@ class FaceBarycentricConfig(BinderConfig):
     """Standard deviation along the normal, the paper's epsilon, in object units."""
     fit_outline: bool = True
     """Set Gaussians below their faces and end them at sharp bends, so that their outline is the mesh's
-    (docs/splat-surface.md); off: on the face (paper)."""
+    (docs/background/splat-surface.md); off: on the face (paper)."""
     places: Literal["learned", "fixed"] = "learned"
     """Learn where on their faces Gaussians lie, how large and how turned they are; or leave all that as it starts,
     which costs no rows."""

@@ -1,6 +1,6 @@
 """How deep below their faces Gaussians lie, and how near to sharp edges they reach, for their outline to be the mesh's.
 
-docs/splat-surface.md derives and measures it. With s the standard deviation of a flat splat seen edge-on:
+docs/background/splat-surface.md derives and measures it. With s the standard deviation of a flat splat seen edge-on:
 
 depth   At a rim of curvature kappa, Gaussians of areal density rho and tangential deviation sigma have the optical
         depth tau(D) = N int Li_3/2(theta exp(-(D + u^2)^2 / 2)) du at the distance D s outside their centres, with

@@ -47,6 +47,43 @@ def read_config(path: Path) -> MethodConfig:
         raise type(error)(f"{path}: {error}") from error
 
 
+def with_file(config: MethodConfig, path: Path) -> MethodConfig:
+    """``config`` with what a JSON file says in its place: the whole of a run's config.json, or a few keys of it.
+
+    Objects are merged key by key, a component of another "type" takes the place of the old one, and a list that of the
+    list, but for components that were in it before: they keep what the file does not say. Where results go ("output")
+    is not taken from a file. Raises ConfigError, which names the file.
+    """
+    try:
+        said = json.loads(path.read_text(encoding="utf-8"))
+        if not isinstance(said, dict):
+            raise ConfigError(f"a configuration must be a JSON object, not {_kind(said)}.")
+        if said.get("method", config.method) != config.method:
+            raise ConfigError(f"it is of the method {said['method']!r}, not of {config.method!r}.")
+        own = {key: value for key, value in said.items() if key not in ("output", "repair")}
+        return config_from_values(_merged(config_to_values(config), own))
+    except OSError as error:
+        raise ConfigError(f"{path} cannot be read: {error.strerror}.") from error
+    except (ValueError, RecursionError) as error:
+        raise ConfigError(f"{path}: not valid JSON ({error}).") from error
+    except ConfigError as error:
+        raise type(error)(f"{path}: {error}") from error
+
+
+def _merged(base: Any, said: Any) -> Any:
+    if isinstance(base, dict) and isinstance(said, dict):
+        if said.get("type", base.get("type")) != base.get("type"):
+            return said
+        return base | {key: _merged(base.get(key), value) for key, value in said.items()}
+    if isinstance(base, list) and isinstance(said, list):
+        there = {each["type"]: each for each in base if isinstance(each, dict) and "type" in each}
+        return [
+            _merged(there.get(each.get("type")), each) if isinstance(each, dict) and "type" in each else each
+            for each in said
+        ]
+    return said
+
+
 def config_to_values(config: MethodConfig) -> dict[str, Any]:
     """The config as JSON values. Raises ConfigError if a component is not registered or a number is not finite."""
     return {"version": VERSION, **_encode(config, "")}

@@ -26,6 +26,11 @@ VIEWER = "viser"
 REFINE_BOX = "refine_box"
 HIDDEN = ("method", "repair")
 """Fields of a method's config that are no options."""
+HELP, HELP_ALL = ("-h", "--help"), "--help-all"
+RARE = ("level_gain_db", "holdout_every", "checkpoint_seconds", "replay", "refine_box_levels")
+"""General options that ``--help`` leaves to ``--help-all``."""
+USUAL_SLOTS = ("dataset",)
+"""Slots whose component shows its options in ``--help``; of other slots it does where the words choose it."""
 METAVARS = {
     "data": "DIR|demo|demo:NAME",
     "output": "DIR",
@@ -41,11 +46,21 @@ def apply_words(config: MethodConfig, words: Sequence[str], program: str, descri
     """``config`` as the command line changes it.
 
     ``program`` and ``description`` head the help text. Raises ConfigError for components, options and words that do
-    not exist. As tyro does: prints the help and exits with 0 for ``--help``; exits with 2 for values of a wrong type.
+    not exist. As tyro does: prints the help and exits with 0 for ``--help``, which lists what a person sets, and
+    ``--help-all``; exits with 2 for values of a wrong type.
     """
+    chosen = tuple(slot for slot in slots_of(type(config)) if any(_names(word, slot) for word in words))
     config, words = swap_components(config, words)
+    shown = None
+    if HELP_ALL in words:
+        words = [*words, HELP[-1]]
+        words.remove(HELP_ALL)
+    elif any(word in HELP for word in words):
+        shown = (*USUAL_SLOTS, *chosen)
+        left = len(flags(config)) - len(_usual_flags(config, shown))
+        description += f"\n\n{HELP_ALL} lists {left} options more, --SLOT NAME --help those of a component."
     options, unknown = tyro.cli(
-        _options_type(config),
+        _options_type(config, shown),
         args=words,
         prog=program,
         description=description,
@@ -92,6 +107,10 @@ def swap_components(config: MethodConfig, words: Sequence[str]) -> tuple[MethodC
     return config, rest
 
 
+def _names(word: str, slot: str) -> bool:
+    return word.partition("=")[0] == f"--{slot}"
+
+
 def flags(config: MethodConfig) -> tuple[str, ...]:
     """Every option there is for ``config``, in the order of the help, without the leading dashes."""
     slots = slots_of(type(config))
@@ -100,7 +119,17 @@ def flags(config: MethodConfig) -> tuple[str, ...]:
     general = tuple(name.replace("_", "-") for name in _general(config))
     plan = _plan_of(config)
     items = () if plan is None else ("plan", *(f"plan.{option}" for option in _flags_of(plan) if option != "mode"))
-    return (*general, "resume", "viewer", *items, *slots, *chosen, *groups)
+    return (*general, "resume", "config", "viewer", *items, *slots, *chosen, *groups)
+
+
+def _usual_flags(config: MethodConfig, shown: Sequence[str]) -> list[str]:
+    """Those of ``flags`` that the help shows where components of these slots alone show theirs."""
+    out = []
+    for flag in flags(config):
+        part, dot, _ = flag.partition(".")
+        if part in shown if dot else part.replace("-", "_") not in RARE:
+            out.append(flag)
+    return out
 
 
 def _general(config: MethodConfig) -> tuple[str, ...]:
@@ -147,10 +176,11 @@ def _choose(config: MethodConfig, slot: Slot, chosen: list[str]) -> MethodConfig
     return replace(config, **{slot.name: value})
 
 
-def _options_type(config: MethodConfig) -> type[MethodConfig]:
+def _options_type(config: MethodConfig, shown: Sequence[str] | None = None) -> type[MethodConfig]:
     """The config's type with each slot narrowed to the components in ``config``, and the options that choose them.
 
-    A subclass, so that tyro finds the help of the general options there.
+    A subclass, so that tyro finds the help of the general options there. For a help text that shows what is usual,
+    ``shown`` are the slots whose components show their options; the rest is not there.
     """
     kind = type(config)
     made: list[tuple[str, Any, Any]] = [
@@ -161,17 +191,24 @@ def _options_type(config: MethodConfig) -> type[MethodConfig]:
     names = _general(config)
     for general in fields(kind):
         if general.name in names:
-            made.append((general.name, _general_option(general.name, general.type), getattr(config, general.name)))
+            option = _general_option(general.name, general.type)
+            if shown is not None and general.name in RARE:
+                option = Annotated[general.type, tyro.conf.Suppress]
+            made.append((general.name, option, getattr(config, general.name)))
     resume = tyro.conf.arg(metavar="RUN_DIR", help="Go on with the run saved there.", help_behavior_hint="")
     viewer = tyro.conf.arg(help="Short for adding the observer viser: watch in a browser.", help_behavior_hint="")
+    settings = tyro.conf.arg(
+        metavar="FILE", help="Settings in JSON, a run's config.json or a part of one.", help_behavior_hint=""
+    )
     made.append(("resume", Annotated[Path | None, resume], None))
+    made.append(("config", Annotated[Path | None, settings], None))
     made.append(("viewer", Annotated[bool, tyro.conf.FlagCreatePairsOff, viewer], False))
     for slot in slots_of(kind).values():
         current = getattr(config, slot.name)
         known = registry.names(slot.name)
         if slot.many:
             chosen = tuple(registry.name_of(component) for component in current)
-            text = f"The {slot.name}, by name; their options are below. {NONE}: leave all out."
+            text = f"The {slot.name}, by name. {NONE}: leave all out."
             option = tyro.conf.arg(name=slot.name, metavar=f"{{{','.join(known)}}} ... | {NONE}", help=text)
             made.append((f"{slot.name}_chosen", Annotated[tuple[str, ...], option], chosen or (NONE,)))
             parts = [
@@ -179,15 +216,16 @@ def _options_type(config: MethodConfig) -> type[MethodConfig]:
                 for index, (name, component) in enumerate(zip(chosen, current, strict=True))
             ]
             group = make_dataclass(slot.name, parts, frozen=True, kw_only=True)
-            made.append((slot.name, group, group()))
+            made.append((slot.name, _if(shown is None or slot.name in shown, group), group()))
         else:
-            option = tyro.conf.arg(name=slot.name, help=f"The {slot.one}, by name; its options are below.")
+            option = tyro.conf.arg(name=slot.name, help=f"The {slot.one}, by name.")
             choice = Annotated[Literal[known], option]  # pyright: ignore[reportInvalidTypeForm]
             made.append((f"{slot.name}_chosen", choice, registry.name_of(current)))
-            made.append((slot.name, type(current), current))
-    made += [(name, type(getattr(config, name)), getattr(config, name)) for name in _groups(config)]
+            made.append((slot.name, _if(shown is None or slot.name in shown, type(current)), current))
+    made += [(name, _if(shown is None, type(getattr(config, name))), getattr(config, name)) for name in _groups(config)]
     if (plan := _plan_of(config)) is not None:
-        made += _plan_options(plan)
+        whole, items = _plan_options(plan)
+        made += [whole, (items[0], _if(shown is None, items[1]), items[2])]
     return make_dataclass(
         "Options",
         [(name, kind, field(default=default)) for name, kind, default in made],
@@ -195,6 +233,10 @@ def _options_type(config: MethodConfig) -> type[MethodConfig]:
         frozen=True,
         kw_only=True,
     )
+
+
+def _if(is_shown: bool, kind: Any) -> Any:
+    return kind if is_shown else Annotated[kind, tyro.conf.Suppress]
 
 
 def _plan_options(plan: PlanConfig) -> list[tuple[str, Any, Any]]:

@@ -14,7 +14,7 @@ from sculpt_framework import registry
 from sculpt_framework.config import MethodConfig
 from sculpt_framework.errors import CheckpointError, ConfigError, SculptError
 from sculpt_framework.sculpting.config import SculptingConfig
-from sculpt_framework.serialization import read_config
+from sculpt_framework.serialization import read_config, with_file
 from sculpt_framework.validation import check
 
 PROGRAM = "sculpt-train"
@@ -42,7 +42,8 @@ def parse(words: Sequence[str]) -> MethodConfig:
 
 def read_request(words: Sequence[str]) -> TrainRequest:
     """The run a command line asks for. Reads a file only for ``--resume``. Raises and exits as ``parse``."""
-    resume, words = _take_resume(words)
+    expected = "a run directory, as in --resume outputs/SCENE/METHOD/TIME"
+    resume, words = _take("--resume", expected, words)
     if resume is None and words and words[0] in ("-h", "--help"):
         sys.stdout.write(overview())
         sys.exit(0)
@@ -52,6 +53,8 @@ def read_request(words: Sequence[str]) -> TrainRequest:
         raise ConfigError(f"{PROGRAM} starts with a method, {given}. Methods: {', '.join(registry.method_names())}.")
     if resume is None:
         return TrainRequest(config=_new_run(words[0], words[1:]))
+    if any(word.partition("=")[0] == "--config" for word in words):
+        raise ConfigError("--config cannot be given with --resume: a saved run keeps its settings.")
     method, rest = (words[0], words[1:]) if named else (None, words)
     if any(word.partition("=")[0].replace("_", "-") == "--refine-box" for word in rest):
         return TrainRequest(config=_repair(resume, method, rest))
@@ -82,13 +85,17 @@ options of every method:
   --device auto|cpu|cuda  --threads N  --seed N  --reference MESH  --viewer
   --SLOT NAME                  swap a component: {slots}
   --SLOT.OPTION VALUE          set a component's option
+  --config FILE.json           take settings from a file: a run's config.json, or a part of one
 
-sculpt-train METHOD --help lists every component and every option, with defaults.
+sculpt-train METHOD --help lists what a person sets, --help-all every option, with defaults.
 """.replace("{slots}", f"\n{' ' * 31}".join(textwrap.wrap(", ".join(registry.SLOTS), width=60)))
 
 
 def _new_run(method: str, words: Sequence[str]) -> MethodConfig:
     config, description = _make_config(method)
+    file, words = _take("--config", "a JSON file, as in --config settings.json", words)
+    if file is not None:
+        config = with_file(config, file)
     config = _edit(config, words, f"{PROGRAM} {config.method}", description)
     if not config.data:
         raise ConfigError("--data is missing: give a folder, as in --data DIR, or --data demo.")
@@ -182,18 +189,18 @@ def _first_line(method: str) -> str:
         return f"(not available: {error.__cause__ or error})"
 
 
-def _take_resume(words: Sequence[str]) -> tuple[Path | None, list[str]]:
-    """``--resume RUN_DIR`` and the other words."""
-    rest, resume = list(words), None
+def _take(name: str, expected: str, words: Sequence[str]) -> tuple[Path | None, list[str]]:
+    """The path that the option ``name`` has, and the other words."""
+    rest, found = list(words), None
     for index, word in enumerate(rest):
         option, equals, value = word.partition("=")
-        if option != "--resume":
+        if option != name:
             continue
         end = index + 1 if equals else index + 2
         value = value if equals else next(iter(rest[index + 1 : end]), "")
         if not value or value.startswith("--"):
-            raise ConfigError("--resume expects a run directory, as in --resume outputs/SCENE/METHOD/TIME.")
-        resume = Path(value)
+            raise ConfigError(f"{name} expects {expected}.")
+        found = Path(value)
         del rest[index:end]
         break
-    return resume, rest
+    return found, rest

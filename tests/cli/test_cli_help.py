@@ -26,13 +26,17 @@ def plain_terminal(monkeypatch: pytest.MonkeyPatch):
 @pytest.mark.usefixtures("fake")
 @pytest.mark.parametrize(
     ("name", "words"),
-    [("plain", ""), ("fancy", "--field fancy --losses none --constraints even tight --observers none")],
+    [
+        ("usual", "--field fancy --help"),
+        ("plain", "--help-all"),
+        ("fancy", "--field fancy --losses none --constraints even tight --observers none --help-all"),
+    ],
 )
 def test_help_of_a_method_follows_the_chosen_components(
     name: str, words: str, capsys: pytest.CaptureFixture[str], snapshot: Snapshot
 ):
     with pytest.raises(SystemExit) as caught:
-        parse(["fake", *words.split(), "--help"])
+        parse(["fake", *words.split()])
     assert caught.value.code == 0
     lines = capsys.readouterr().out.splitlines()
     snapshot(f"help-{name}", "".join(f"{line.rstrip()}\n" for line in lines))
@@ -55,6 +59,21 @@ def test_the_options_of_every_method_are_frozen(method: str, snapshot: Snapshot)
     # How many stages a method has is its own affair.
     options = [re.sub(r"stages\.\d+", "stages.N", option) for option in flags(parse([method, "--data", "demo"]))]
     snapshot(f"flags-{method}", "".join(f"{option}\n" for option in dict.fromkeys(options)))
+
+
+@pytest.mark.parametrize("method", registry.method_names())
+def test_the_help_has_some_thirty_options_and_counts_the_others(method: str, capsys: pytest.CaptureFixture[str]):
+    def shown(word: str) -> tuple[str, int]:
+        with pytest.raises(SystemExit):
+            parse([method, word])
+        text = capsys.readouterr().out
+        return text, len(re.findall(r"^[│ ]+--[a-z]", text, re.MULTILINE))
+
+    (usual, some), (_, every) = shown("--help"), shown("--help-all")
+    assert some < 36
+    counted = int(re.findall(r"--help-all lists (\d+) options more", usual)[0])
+    # An option whose names take two lines is one; stages have several under a number.
+    assert abs(some + counted - every) <= 8
 
 
 def test_the_overview_of_the_methods_is_frozen(snapshot: Snapshot):

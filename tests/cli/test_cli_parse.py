@@ -1,5 +1,6 @@
 """What a command line stands for."""
 
+import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +12,7 @@ from sculpt_framework.command_line.options import flags
 from sculpt_framework.command_line.request import parse, read_request
 from sculpt_framework.config import MethodConfig
 from sculpt_framework.errors import CheckpointError, ConfigError
+from sculpt_framework.sculpting.config import SculptingConfig
 from sculpt_framework.serialization import config_to_json
 
 pytestmark = pytest.mark.usefixtures("fake")
@@ -97,7 +99,7 @@ def test_the_method_s_name_is_what_was_asked_for(install):
 
 def test_flags_are_the_options_of_the_help(capsys: pytest.CaptureFixture[str]):
     with pytest.raises(SystemExit):
-        parse(["fake", "--field", "fancy", "--help"])
+        parse(["fake", "--field", "fancy", "--help-all"])
     shown = set(re.findall(r"^\W*--([a-z][a-z0-9.-]*)", capsys.readouterr().out, re.MULTILINE))
     assert shown == set(flags(run("--field fancy")))
 
@@ -131,3 +133,67 @@ class TestResume:
     def test_a_folder_without_a_run(self, tmp_path: Path):
         with pytest.raises(CheckpointError, match="there is no saved run"):
             read_request(["--resume", str(tmp_path / "nothing")])
+
+
+# -- settings from a file --------------------------------------------------------------------------------------------
+
+
+def test_a_file_has_settings_that_words_may_change(tmp_path: Path):
+    settings = tmp_path / "settings.json"
+    settings.write_text(
+        json.dumps(
+            {
+                "steps": 7,
+                "field": {"type": "hash-grid", "num_levels": 3},
+                "losses": [{"type": "silhouette"}, {"type": "photometric", "weight": 0.25}],
+                "trainer": {"fit_steps": 11},
+            }
+        )
+    )
+    plain = parse(["gaussian-sculpting", "--data", "demo"])
+    config = parse(["gaussian-sculpting", "--data", "demo", "--config", str(settings), "--steps", "9"])
+    assert isinstance(plain, SculptingConfig)
+    assert isinstance(config, SculptingConfig)
+    assert config.steps == 9
+    assert config.trainer == replace(plain.trainer, fit_steps=11)
+    assert config.field == replace(plain.field, num_levels=3)
+    known = {type(loss): loss for loss in plain.losses}
+    first, second = config.losses
+    assert first == known[type(first)]
+    assert second == replace(known[type(second)], weight=0.25)
+
+
+def test_the_config_of_a_run_is_such_a_file(tmp_path: Path):
+    config = parse(["gaussian-sculpting", "--data", "demo", "--output", "somewhere", "--field", "mlp", "--seed", "3"])
+    (tmp_path / "config.json").write_text(config_to_json(config))
+    again = parse(["gaussian-sculpting", "--config", str(tmp_path / "config.json")])
+    assert again == replace(config, output=None)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[1]", "must be a JSON object, not a list"),
+        ("{", "not valid JSON"),
+        ('{"stepps": 3}', "stepps is not a known key. Did you mean 'steps'"),
+        ('{"steps": "many"}', 'steps is "many"; expected a whole number'),
+        ('{"method": "nerf"}', "it is of the method 'nerf', not of 'gaussian-sculpting'"),
+        ('{"field": {"type": "wool"}}', "field: there is no field 'wool'"),
+        ('{"steps": -1}', "steps"),
+    ],
+)
+def test_a_file_that_does_not_fit_is_told(text: str, message: str, tmp_path: Path):
+    (tmp_path / "settings.json").write_text(text)
+    with pytest.raises(ConfigError, match=re.escape(message)):
+        parse(["gaussian-sculpting", "--data", "demo", "--config", str(tmp_path / "settings.json")])
+
+
+def test_a_file_must_be_there_and_is_not_for_a_saved_run(tmp_path: Path):
+    with pytest.raises(ConfigError, match=r"none\.json cannot be read: No such file"):
+        parse(["gaussian-sculpting", "--data", "demo", "--config", str(tmp_path / "none.json")])
+    with pytest.raises(ConfigError, match="--config expects a JSON file"):
+        parse(["gaussian-sculpting", "--data", "demo", "--config"])
+    config = parse(["gaussian-sculpting", "--data", "demo"])
+    (tmp_path / "config.json").write_text(config_to_json(config))
+    with pytest.raises(ConfigError, match="--config cannot be given with --resume"):
+        parse(["--resume", str(tmp_path), "--config", str(tmp_path / "config.json")])

@@ -56,7 +56,8 @@ def line_of(folder: Path, out: Path, masks: bool) -> str:
     fit = similarity(*(centers(np.array([poses[each] for each in both])) for poses in (posed, known)))
     meshes = placed(load_mesh(found_run / "mesh.ply"), fit), load_mesh(known_run / "mesh.ply")
     seconds = [
-        json.loads((run / "metrics.json").read_text(encoding="utf-8"))["t_wall_s"] for run in (found_run, known_run)
+        json.loads((run / "metrics.json").read_text(encoding="utf-8"))["final"]["t_wall_s"]
+        for run in (found_run, known_run)
     ]
     capture = Capture(str(folder))
     measured = [measures(capture, mesh) for mesh in meshes]

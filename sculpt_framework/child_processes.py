@@ -3,9 +3,14 @@
 import ctypes
 import os
 import signal
+import subprocess
 import sys
 from collections.abc import Sequence
 
+INTERRUPT = signal.CTRL_BREAK_EVENT if sys.platform == "win32" else signal.SIGINT
+"""What asks a process of a group of its own to save and end, as Ctrl-C does."""
+OWN_GROUP = subprocess.CREATE_NEW_PROCESS_GROUP if sys.platform == "win32" else 0
+"""Flags of ``subprocess.Popen``, beside ``process_group=0``, for a process that a terminal's Ctrl-C does not reach."""
 _PR_SET_PDEATHSIG = 1
 _PROGRAM = """
 import ctypes, os, signal, sys

@@ -1,11 +1,13 @@
 """How much memory this process has used, and may still have: of the machine, and under the limits it runs with."""
 
 import gc
-import resource
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
+
+if sys.platform != "win32":
+    import resource
 
 _GROUPS = (
     # Mount of the hierarchy, names of its files for the limit and the use, and what of the use can be taken back.
@@ -33,6 +35,10 @@ def peak_bytes(root: Path = Path("/")) -> int:
     for line in _lines(root / "proc/self/status"):
         if line.startswith("VmHWM:"):
             return int(line.split()[1]) << 10
+    if sys.platform == "win32":
+        import psutil
+
+        return psutil.Process().memory_info().peak_wset
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 2**10)
 
 
@@ -58,6 +64,10 @@ def _of_machine(root: Path) -> Iterator[int]:
     for line in _lines(root / "proc/meminfo"):
         if line.startswith("MemAvailable:"):
             yield int(line.split()[1]) << 10
+    if sys.platform != "linux":
+        import psutil
+
+        yield psutil.virtual_memory().available
 
 
 def _of_groups(root: Path) -> Iterator[int]:
@@ -81,6 +91,8 @@ def _idle(folder: Path, name: str) -> int:
 
 
 def _of_limits(root: Path) -> Iterator[int]:
+    if sys.platform == "win32":
+        return
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)
     used = _lines(root / "proc/self/statm")
     if limit != resource.RLIM_INFINITY and used:

@@ -48,7 +48,8 @@ def view(words: Sequence[str]) -> None:
     if not (request.run_dir / "config.json").is_file():
         raise CheckpointError(f"{request.run_dir} is not a run directory: it has no config.json")
     check_address(request.host, request.port, "--port")
-    os.nice(_NICE)
+    if sys.platform != "win32":
+        os.nice(_NICE)
     logging.basicConfig(format="%(message)s", stream=sys.stderr)
     # It would tell with a traceback of everybody who opens the port and hangs up.
     logging.getLogger("websockets").setLevel(logging.CRITICAL)

@@ -1,6 +1,7 @@
 """Training seconds: what the optimisation alone takes, with everything else left out."""
 
 import os
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -8,13 +9,17 @@ from contextlib import contextmanager
 
 def process_start() -> float:
     """``time.monotonic()`` at the start of this process, so that wall time includes the imports."""
+    if sys.platform != "linux":
+        import psutil
+
+        return time.monotonic() - max(0.0, time.time() - psutil.Process().create_time())
     try:
         with open("/proc/self/stat", encoding="ascii") as stat:
             ticks = float(stat.read().rsplit(")", 1)[1].split()[19])
         with open("/proc/uptime", encoding="ascii") as uptime:
             age = float(uptime.read().split()[0]) - ticks / os.sysconf("SC_CLK_TCK")
     except (OSError, ValueError, IndexError):
-        return time.monotonic()  # no /proc on this system: count from here
+        return time.monotonic()  # A system that hides /proc: count from here.
     return time.monotonic() - max(0.0, age)
 
 

@@ -203,7 +203,8 @@ def stop_on_interrupt() -> Iterator[StopFlag]:
         _log.warning("stopping after this step and saving; %s", again)
 
     try:
-        previous = [(number, signal.signal(number, handle)) for number in (signal.SIGINT, signal.SIGTERM)]
+        numbers = (signal.SIGINT, signal.SIGBREAK if sys.platform == "win32" else signal.SIGTERM)
+        previous = [(number, signal.signal(number, handle)) for number in numbers]
     except ValueError:  # not in the main thread: whoever runs us decides about interrupts
         yield flag
         return

@@ -1,7 +1,6 @@
 """Where the process of a run is started: on this machine here; sculpt_framework.batch has schedulers of clusters."""
 
 import os
-import signal
 import subprocess
 import sys
 from abc import ABC, abstractmethod
@@ -10,11 +9,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO
 
-from sculpt_framework.child_processes import leashed
+from sculpt_framework.child_processes import INTERRUPT, OWN_GROUP, leashed
 from sculpt_framework.errors import DeviceError, OutputError
 
-KILLED = -int(signal.SIGKILL)
-"""Exit code of a process that somebody killed, or that went down with its machine."""
+KILLED = -9
+"""Exit code of a process that somebody killed (SIGKILL), or that went down with its machine."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,7 +104,7 @@ class _LocalJob(Job):
         return code
 
     def interrupt(self) -> None:
-        self._process.send_signal(signal.SIGINT)
+        self._process.send_signal(INTERRUPT)
 
     def kill(self) -> None:
         self._process.kill()
@@ -126,6 +125,7 @@ def start_process(command: Sequence[str], log: Path, environment: Mapping[str, s
                 stderr=subprocess.STDOUT,
                 env=dict(environment),
                 process_group=0,
+                creationflags=OWN_GROUP,
             )
     except OSError as error:
         raise OutputError(f"cannot start a run with its log at {log}: {error.strerror}.") from error

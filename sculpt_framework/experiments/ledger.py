@@ -1,13 +1,13 @@
 """What became of each run of an experiment, kept on disk after every change."""
 
-import fcntl
 import json
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
+
+from filelock import FileLock, Timeout
 
 from sculpt_framework.errors import ConfigError, OutputError
 from sculpt_framework.export.atomic import write_atomically
@@ -62,15 +62,14 @@ def only_one(folder: Path) -> Iterator[None]:
 
     Raises ConfigError if another process works in it, OutputError if it cannot be written.
     """
+    lock = FileLock(folder / ".lock", mode=0o644)
     try:
-        handle = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT, 0o644)
+        lock.acquire(blocking=False)
+    except Timeout:
+        raise ConfigError(f"another process works in {folder}; wait for it, or give another --out.") from None
     except OSError as error:
         raise OutputError(f"cannot write to {folder}: {error.strerror}; give another --out.") from error
     try:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            raise ConfigError(f"another process works in {folder}; wait for it, or give another --out.") from None
         yield
     finally:
-        os.close(handle)
+        lock.release()

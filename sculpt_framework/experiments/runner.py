@@ -309,7 +309,8 @@ def _terminate_as_interrupt() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield  # Signals are for whoever runs us to decide about.
         return
-    numbers = [n for n in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(n) is not signal.SIG_IGN]
+    ends = (signal.SIGTERM, signal.SIGBREAK) if sys.platform == "win32" else (signal.SIGTERM, signal.SIGHUP)
+    numbers = [n for n in ends if signal.getsignal(n) is not signal.SIG_IGN]
     previous = [(number, signal.signal(number, handle)) for number in numbers]
     try:
         yield

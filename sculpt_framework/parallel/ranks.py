@@ -3,6 +3,7 @@
 import json
 import os
 import socket
+import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -249,6 +250,10 @@ def _store(environment: Mapping[str, str], rank: int, count: int) -> Store:
 
 def _is_alive(process: int) -> bool:
     """Whether a process of this machine works; one that nobody has asked for its end yet does not."""
+    if sys.platform == "win32":  # Where signal 0 is Ctrl-C.
+        import psutil
+
+        return psutil.pid_exists(process)
     try:
         os.kill(process, 0)
         state = Path(f"/proc/{process}/stat")

@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from sculpt_framework.child_processes import OWN_GROUP
 from sculpt_framework.commands import Command, TakeSnapshot, command_from_json
 from sculpt_framework.errors import ConfigError, SculptError
 from sculpt_framework.events import Event
@@ -189,6 +190,7 @@ def _start(config: ViserConfig, run_dir: Path) -> "subprocess.Popen[str]":
         env={**os.environ, **single},
         # Ctrl-C is for training; this process ends when its input does.
         start_new_session=True,
+        creationflags=OWN_GROUP,
     )
 
 

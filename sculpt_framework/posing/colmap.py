@@ -27,8 +27,10 @@ _SMALLEST_MODEL = 3
 _MOST_MODELS = 10
 _LENS = "SIMPLE_RADIAL"
 """A focal length and one coefficient of distortion: what a ring of views determines."""
-_WORTH_IT = 0.995
-"""The principal point is estimated where that lowers the reprojection error to this share or below."""
+_WORTH_IT = 0.998
+"""The principal point is estimated where that lowers the reprojection error to this share or below,"""
+_LEAST_SHIFT = 0.01
+"""and moves it by this share of the image's longer side: errors of the model that are left over move it by less."""
 _ENOUGH_VIEWS = 15
 """Of one lens, before its principal point is estimated."""
 
@@ -188,7 +190,7 @@ def map_images(
 
 
 def refined(model: "pycolmap.Reconstruction") -> "pycolmap.Reconstruction":
-    """The model, with the lenses' principal points estimated where that fits the features notably better."""
+    """The model, with the lenses' principal points estimated where they are notably away from the middle."""
     import pycolmap
 
     views = list(model.images.values())
@@ -206,7 +208,13 @@ def refined(model: "pycolmap.Reconstruction") -> "pycolmap.Reconstruction":
     pycolmap.create_default_bundle_adjuster(adjustment, chosen, moved).solve()
     moved.update_point_3d_errors()
     better = moved.compute_mean_reprojection_error() <= _WORTH_IT * model.compute_mean_reprojection_error()
-    return moved if better else model
+    return moved if better and max(map(_shift, moved.cameras.values())) >= _LEAST_SHIFT else model
+
+
+def _shift(lens: "pycolmap.Camera") -> float:
+    """Of the principal point from the middle of the image, as a share of the longer side."""
+    x, y = lens.principal_point_x - lens.width / 2, lens.principal_point_y - lens.height / 2
+    return float(np.hypot(x, y)) / max(lens.width, lens.height)
 
 
 def world_to_cameras(model: "pycolmap.Reconstruction") -> dict[str, np.ndarray]:

@@ -3,7 +3,7 @@
     python docs/compare_checkouts.py CHECKOUT OTHER --out OUT [--data DIR...] [--only NAME...]
 
 Each trains the same runs, one after the other, in a process of its own: the default method, the tiny one and the
-paper's, for a few steps; one that is interrupted and gone on with; one that is told what another was told in its
+paper's, for a few steps; one that is interrupted and resumed; one that is told what another was told in its
 viewer; one that is repaired in a box. Compared are meshes, Gaussians, the curves but for what a clock or the memory
 says, and every tensor of the last checkpoint. What the options of an older checkout are called is said by
 ``--steps-option``. Exits with 1 where anything differs.

@@ -90,7 +90,7 @@ Command = (
     Pause | Resume | Stop | SetWeight | SwitchConstraint | SetRate | AddBox | ClearBoxes | ExportMesh | TakeSnapshot
 )
 LASTING = (SetWeight, SwitchConstraint, SetRate, AddBox, ClearBoxes)
-"""Commands that change what later steps do; a run that is gone on with starts from them."""
+"""Commands that change what later steps do; a resumed run starts from them."""
 _KINDS = {
     re.sub(r"(?<!^)([A-Z])", r"-\1", kind.__name__).lower(): kind
     for kind in (
@@ -160,7 +160,7 @@ def read_recorded(path: Path) -> list[Recorded]:
             continue
         if not isinstance(event, dict) or event.get("event") not in ("action", "stage", "outer_step"):
             continue
-        # A run that was gone on with from a checkpoint did again what it had done after it, without these commands.
+        # A run resumed from a checkpoint did again what it had done after it, without these commands.
         out = [recorded for recorded in out if recorded.outer <= event["outer"]]
         data = event["data"]
         if event["event"] != "action" or "command" not in data or data.get("refused"):

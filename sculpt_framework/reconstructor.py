@@ -3,7 +3,7 @@
 A session has the clock, the curve, the best state, checkpoints and events; a ``Reconstructor`` has a shape and learns.
 It is built by its config (``MethodConfig.build``), and the session calls it in this order:
 
-    begin                           or load_state, where a saved run is gone on with
+    begin                           or load_state, where a saved run is resumed
     settle, (measured,) step        again and again
     settle, (measured,) finish      once; load_state before, where an earlier state was better
     mesh, colors, save              of the result, and of any state between two steps

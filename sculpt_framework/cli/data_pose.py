@@ -11,7 +11,7 @@ def add_pose_command(commands: "argparse._SubParsersAction[argparse.ArgumentPars
     usual = PosingOptions()
     pose = commands.add_parser("pose", help="find the cameras of a folder of photographs, or of a video")
     pose.add_argument("source", metavar="PHOTOS|VIDEO", type=Path, help="folder of photographs, or a video file")
-    out = "folder for images and cameras; given again, it is gone on with"
+    out = "folder for images and cameras; given again, it is resumed"
     pose.add_argument("--out", type=Path, metavar="SCENE", required=True, help=out)
     lens = f"which photographs of the same size share a lens (default: {usual.cameras})"
     pose.add_argument("--cameras", choices=CAMERAS, default=usual.cameras, help=lens)

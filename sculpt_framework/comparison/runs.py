@@ -93,7 +93,7 @@ class RunRecord:
     def total_seconds(self, clock: Clock) -> float | None:
         """Seconds to the result; None where that is not known. A failure has those it took to fail."""
         known = (self.final.get(_CLOCK_COLUMNS[clock]), self.curve[-1].seconds(clock) if self.curve else None)
-        # The end comes after the last row; of a run that was gone on with it knows the last process alone.
+        # The end comes after the last row; of a resumed run it knows the last process alone.
         return max((value for value in known if value is not None), default=None)
 
 
@@ -141,7 +141,7 @@ def load_run(folder: Path) -> RunRecord:
 def curve_points(rows: Sequence[CurveRow], events: Iterable[Mapping[str, Any]] = ()) -> tuple[CurvePoint, ...]:
     """Rows of curve.csv as points; the stage of each is that of the latest "stage" event before it.
 
-    Wall and CPU seconds of a run that was gone on with start anew in the file; here they go on.
+    Wall and CPU seconds of a resumed run start anew in the file; here they go on.
     """
     stages = [(event.get("t_train", 0.0), event["data"]["index"]) for event in events if event["event"] == "stage"]
     rows = sorted((row for row in rows if row["t_train_s"] is not None), key=lambda row: row["t_train_s"] or 0.0)

@@ -24,7 +24,7 @@ class KnownGood:
         self.returns = 0
 
     def take_up(self, progress: Progress, best: Mapping[str, Tensor]) -> None:
-        """What is known of a run that is gone on with."""
+        """What is known of a resumed run."""
         self.rate, self.returns = progress.rate_scale, progress.recoveries
         if progress.best_psnr is not None:
             self.best, self.best_psnr = best, progress.best_psnr

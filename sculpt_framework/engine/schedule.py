@@ -29,7 +29,7 @@ class Schedule:
         return None if self.timed else self._steps
 
     def begin(self, done: float = 0.0) -> None:
-        """Optimisation starts now; a share ``done`` of it has been done before, in the run that is gone on with.
+        """Optimisation starts now; a share ``done`` of it has been done before, in the resumed run.
 
         The start must be made by then: rates that fall while nothing is optimised are too low for what comes after.
         """

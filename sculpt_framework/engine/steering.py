@@ -81,7 +81,7 @@ class Steering:
         )
 
     def take_up(self, commands: Sequence[Recorded], outer: int) -> None:
-        """Before a run is gone on with after ``outer`` steps: put what it was told until then in force again."""
+        """Before a run is resumed after ``outer`` steps: put what it was told until then in force again."""
         for recorded in commands:
             if recorded.outer <= outer and isinstance(recorded.command, LASTING):
                 self._do(recorded.command, recorded.outer)

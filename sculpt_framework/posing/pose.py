@@ -79,7 +79,7 @@ def pose(data: Path, scene: Path, options: PosingOptions, announce: Announcer) -
     """Find the cameras of a folder of photographs, or of frames of a video, and write them into the folder ``scene``.
 
     ``scene`` then has ``images/``, ``masks/`` where there are masks, ``sparse/0``, ``posing.json`` and ``posing.png``;
-    z is up as the cameras were held, and the cameras look at the origin. A call that was stopped is gone on with, one
+    z is up as the cameras were held, and the cameras look at the origin. A call that was stopped is resumed, one
     that has finished is told again, as long as data and options are the same.
 
     Raises ComponentImportError where pycolmap is missing, DataError for photographs of no use, OutputError.

@@ -69,7 +69,7 @@ class TrainerConfig:
     """Keep each face's Gaussian parameters and optimiser state across outer steps; off: start anew (paper)."""
     inner_batch: Annotated[int | None, at_least(1)] = None
     """Views that one inner step takes together; there are as many fewer steps. Default: as many as there are processes
-    (torchrun), so one alone takes one; a run that is gone on with keeps its number."""
+    (torchrun), so one alone takes one; a resumed run keeps its number."""
     bind_every: Annotated[int, at_least(1)] = 4
     """Places, scales and rotations of the Gaussians learn in every so many inner steps; colours in all."""
     sh_degree_every: Annotated[int, at_least(1)] = 1000

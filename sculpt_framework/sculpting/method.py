@@ -88,7 +88,7 @@ class Sculpting(Reconstructor):
         index = self._rates.stage_index(moment.progress)
         if index != self._stage and not moment.last:
             self._enter(index)
-        elif not self.images:  # A saved run is gone on with.
+        elif not self.images:  # A saved run is resumed.
             self._load_images(self._stage)
             self._tell_stage()
         rate = self._rates.factor(moment.progress) * moment.rate

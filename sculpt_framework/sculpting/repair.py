@@ -1,4 +1,4 @@
-"""Local repair: a finished run is gone on with in boxes, and outside them its surface stays as it is.
+"""Local repair: a finished run is continued in boxes, and outside them its surface stays as it is.
 
 The state the result was made of becomes the first state of a new run, which may only change what lies in the boxes
 (``geometry.octree_hold``).

@@ -83,7 +83,7 @@ class Wishes:
         return f"{command.kind} in the box {corners}"
 
     def _freeze(self, box: Box, step: int, folder: Path) -> None:
-        """The values that are kept go to a file: a run that is gone on with must not take later ones."""
+        """The values that are kept go to a file: a resumed run must not take later ones."""
         trainer = self.parts.trainer
         path = folder / "checkpoints" / f"frozen-{step:06d}-{len(trainer.frozen)}.safetensors"
         if path.exists():

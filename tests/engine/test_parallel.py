@@ -1,4 +1,4 @@
-"""Several processes on one object do what one does, and a dead one ends the job so that it can be gone on with."""
+"""Several processes on one object do what one does, and a dead one ends the job so that it can be resumed."""
 
 import json
 import os

@@ -92,7 +92,7 @@ def test_a_curve_of_an_older_version_is_read(tmp_path: Path):
     assert list(read) == list(CURVE_COLUMNS)
     assert (read["t_train_s"], read["psnr"], read["under10_pct"]) == (1.5, 20.5, 0.3)
     assert read["residual_px"] is None
-    # Gone on with, it gets the columns it has not had.
+    # Resumed, it gets the columns it has not had.
     record(tmp_path, event("run_started", t_train=0.0), event("evaluation", t_train=2.0, residual_px=0.25))
     assert [row["residual_px"] for row in read_curve(tmp_path / "curve.csv")] == [None, 0.25]
 

@@ -2,7 +2,8 @@
 
 Coarse depth maps of everything around the object are joined into a volume. The plane that the object stands on is cut
 away, and of the pieces that are left those that most of the depths lie on are the object. Its outlines are right in
-all views together, to a pixel of the coarse images; along them, each view's colours decide.
+all views together, to a pixel of the coarse images. Parts without depths are added where the colours of all views agree
+(``plain_parts``); along the outlines, each view's colours decide.
 """
 
 import logging
@@ -19,6 +20,7 @@ from sculpt_framework.multi_view_stereo.depth_maps import DepthMaps, StereoOptio
 from sculpt_framework.multi_view_stereo.fusion import fuse_without_outlines
 from sculpt_framework.multi_view_stereo.stereo_views import stereo_views
 from sculpt_framework.posed_images.grab_cut import LEAST, cut_along, masked
+from sculpt_framework.posed_images.plain_parts import Outline, agreed, grown
 from sculpt_framework.posed_images.support import Plane, find_support
 from sculpt_framework.shape_from_images.volume import Volume, whole_box
 from sculpt_framework.threads import in_threads
@@ -36,6 +38,11 @@ _VIEWS = 48
 _NEIGHBOURS, _AGREEING = 8, 2
 _SPACE_CELLS, _CELLS = 64, 160
 """Cells along the space of all depths, and along the box with some more around it in which the object is."""
+_PLAIN_CELLS = 80
+"""Along the same, where what has no depth is looked for by colours."""
+_ONE_SIDED = 0.7
+"""Length of the mean of the unit vectors to the cameras, from which on all are on one side of the object: cameras
+around it come to 0.4 to 0.5, those of an arm that swings over it to more than 0.8."""
 _MORE = 1.2
 _CLEAR = 0.01
 """Above the plane it stands on, in units of the box's half side, the object begins."""
@@ -86,6 +93,7 @@ def find_object(
     share = sum(int((each.inside & each.sure).sum()) for each in rough) / max(1, whole)
     if share < _SURE:
         return f"{solid.known}, but of what they make up only {100 * share:.0f} % is seen"
+    rough = _with_plain_parts(posed, rough, solid)
     done = in_threads(lambda pair: _with_mask(*pair), list(zip(given, rough, strict=True)))
     train = [view for view in done[: len(views)] if view.alpha is not None and float(view.alpha.mean()) >= LEAST]
     if len(train) < _SHOWN * len(views):
@@ -219,6 +227,34 @@ def _outlines(views: Sequence[View], solid: _Solid) -> list[_Rough]:
         for i, (given, (rows, columns)) in enumerate(zip(stack.given, stack.sizes, strict=True))
     }
     return [found.get(index, _NOTHING) for index in range(len(views))]
+
+
+def _with_plain_parts(views: Sequence[View], rough: Sequence[_Rough], solid: _Solid) -> list[_Rough]:
+    """The outlines with what else is the object by the colours of all views, above what it stands on.
+
+    Nothing is added where all views are from one side: they agree on too much behind the object and beside it.
+    """
+    ways = np.stack([view.camera.position.double().numpy() for view in views])
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True).clip(min=1e-12)
+    if np.linalg.norm(ways.mean(axis=0)) > _ONE_SIDED:
+        return list(rough)
+    bare = [number for number, (view, each) in enumerate(zip(views, rough, strict=True)) if each.inside.any()]
+    outlines = [Outline(view=views[number], inside=rough[number].inside) for number in bare]
+    masks = grown(outlines)
+    half = _MORE / _AROUND
+    volume = whole_box((half, half, half), _PLAIN_CELLS)
+    full = agreed(volume.points, outlines, masks)
+    if solid.support is not None:
+        full &= solid.support.height(volume.points.astype(float)) > _CLEAR
+    stack = stereo_views([replace(view, alpha=None) for view in views], _AROUND * _PIXELS / 2)
+    nearest, _ = depth_bounds(stack, full.reshape(volume.shape), volume)
+    held = {int(given): nearest[i] > 0 for i, given in enumerate(stack.given)}
+    out = list(rough)
+    for number, mask in zip(bare, masks, strict=True):
+        rows, columns = mask.shape
+        more = mask & held[number][:rows, :columns]
+        out[number] = _Rough(inside=rough[number].inside | more, sure=rough[number].sure | more)
+    return out
 
 
 def _with_mask(view: View, rough: _Rough) -> View:

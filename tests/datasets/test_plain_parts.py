@@ -26,8 +26,9 @@ def ball(camera: Camera, spot: bool) -> tuple[View, np.ndarray, np.ndarray]:
     noise = 0.02 * np.random.default_rng(3).normal(size=(SIDE, SIDE, 1))
     rgb = np.where(whole[..., None], (0.5, 0.3, 0.1), (0.6, 0.62, 0.65)) + noise
     if spot:
-        column = np.flatnonzero(whole.any(axis=0))[-1] + 4
-        rgb[SIDE // 2 : SIDE // 2 + 8, column : column + 8] = (0.5, 0.3, 0.1)
+        row = int(np.median(np.flatnonzero(whole.any(axis=1))))
+        column = np.flatnonzero(whole[row])[-1]
+        rgb[row - 6 : row + 6, column : column + 7] = (0.5, 0.3, 0.1)
     view = View(name="v", camera=camera, rgb=torch.from_numpy(rgb).float().clamp(0, 1), alpha=None)
     return view, whole, whole & (height < CAP)
 

@@ -7,7 +7,8 @@ is one. Of each, the photographs alone (and their masks) are copied to OUT, and 
 finds cameras first, and one of the scene as it is. Meshes of found cameras are laid into the known frame by the
 cameras' positions (Umeyama 1991). Printed are the share of photographs with a camera, the errors of
 ``docs/measure_poses.py``, the seconds of both runs, and of both meshes, with the known cameras: the distance to the
-truth over what cameras see and its median, in hundredths of half the truth's longest side, else the residual in pixels.
+truth over what cameras see and its median, in hundredths of half the truth's longest side, and the residual in pixels;
+and what each run says of its own mesh by its own cameras, the residual again, where it has no truth.
 What is finished in OUT is not done again.
 """
 
@@ -33,7 +34,8 @@ def main() -> int:
     parser.add_argument("--masks", nargs="+", choices=["with", "without"], default=["without"])
     options = parser.parse_args()
     titles = ("scene", "posed", "degrees", "position %", "seconds", "", "residual px", "", "distance", "", "median", "")
-    say("{:22} {:>8} {:>8} {:>11} {:>8} {:>6} {:>11} {:>6} {:>9} {:>6} {:>7} {:>6}".format(*titles))
+    row = "{:22} {:>8} {:>8} {:>11} {:>8} {:>6} {:>11} {:>6} {:>9} {:>6} {:>7} {:>6} {:>7} {:>6}"
+    say(row.format(*titles, "own px", ""))
     for folder in options.scenes:
         for masks in options.masks:
             if masks == "without" or (folder / "masks").is_dir():
@@ -55,10 +57,8 @@ def line_of(folder: Path, out: Path, masks: bool) -> str:
     both = sorted(known.keys() & posed.keys())
     fit = similarity(*(centers(np.array([poses[each] for each in both])) for poses in (posed, known)))
     meshes = placed(load_mesh(found_run / "mesh.ply"), fit), load_mesh(known_run / "mesh.ply")
-    seconds = [
-        json.loads((run / "metrics.json").read_text(encoding="utf-8"))["final"]["t_wall_s"]
-        for run in (found_run, known_run)
-    ]
+    finals = [json.loads((run / "metrics.json").read_text(encoding="utf-8"))["final"] for run in (found_run, known_run)]
+    seconds = [final["t_wall_s"] for final in finals]
     capture = Capture(str(folder))
     measured = [measures(capture, mesh) for mesh in meshes]
     pairs = " ".join(
@@ -67,7 +67,8 @@ def line_of(folder: Path, out: Path, masks: bool) -> str:
     )
     return (
         f"{name:22} {len(both):>3} / {len(known):<2} {np.median(errors.degrees):8.3f} "
-        f"{100 * np.median(errors.shares):11.3f} {seconds[0]:8.0f} {seconds[1]:6.0f} {pairs}"
+        f"{100 * np.median(errors.shares):11.3f} {seconds[0]:8.0f} {seconds[1]:6.0f} {pairs} "
+        f"{told(finals[0]['residual_px'], 3):>7} {told(finals[1]['residual_px'], 3):>6}"
     )
 
 

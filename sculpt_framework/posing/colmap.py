@@ -29,8 +29,9 @@ _LENS = "SIMPLE_RADIAL"
 """A focal length and one coefficient of distortion: what a ring of views determines."""
 _WORTH_IT = 0.998
 """The principal point is estimated where that lowers the reprojection error to this share or below,"""
-_LEAST_SHIFT = 0.01
-"""and moves it by this share of the image's longer side: errors of the model that are left over move it by less."""
+_LEAST_SHIFT, _MOST_SHIFT = 0.01, 0.05
+"""and moves it by such shares of the image's longer side: other errors of the model move it by less, and no lens is as
+far off; in a ring of views it is hardly told from a turn of all cameras."""
 _ENOUGH_VIEWS = 15
 """Of one lens, before its principal point is estimated."""
 
@@ -208,7 +209,8 @@ def refined(model: "pycolmap.Reconstruction") -> "pycolmap.Reconstruction":
     pycolmap.create_default_bundle_adjuster(adjustment, chosen, moved).solve()
     moved.update_point_3d_errors()
     better = moved.compute_mean_reprojection_error() <= _WORTH_IT * model.compute_mean_reprojection_error()
-    return moved if better and max(map(_shift, moved.cameras.values())) >= _LEAST_SHIFT else model
+    shift = max(map(_shift, moved.cameras.values()))
+    return moved if better and _LEAST_SHIFT <= shift <= _MOST_SHIFT else model
 
 
 def _shift(lens: "pycolmap.Camera") -> float:

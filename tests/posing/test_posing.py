@@ -5,6 +5,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -24,7 +25,7 @@ from sculpt_framework.posing.outcome import read_outcome
 from sculpt_framework.posing.pose import pose
 from sculpt_plugins.datasets.auto.config import AutoDatasetConfig
 
-pytest.importorskip("pycolmap")
+pycolmap = pytest.importorskip("pycolmap")
 ANGLES = tuple(range(0, 80, 10))
 
 
@@ -101,6 +102,25 @@ def test_photographs_without_texture_are_refused_with_what_would_help(tmp_path: 
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("heights", "found"), [((1.4, 3.4), True), ((2.2,), False)])
+def test_a_principal_point_off_the_middle_is_found_where_views_tell(
+    heights: tuple[float, ...], found: bool, tmp_path: Path
+):
+    """One ring does not: there the estimate is far off, and not taken."""
+    cut, angles = 24, tuple(range(0, 160 // len(heights) + 1, 10))
+    shots = [shot for above in heights for shot in photographs(angles, 320 + cut, 240, above=above)]
+    save([replace(shot, image=shot.image[:, cut:]) for shot in shots], tmp_path / "in")
+    outcome = pose(tmp_path / "in", tmp_path / "out", PosingOptions(threads=2), Noted())
+    assert outcome.registered == len(shots)
+    (lens,) = pycolmap.Reconstruction(tmp_path / "out" / "sparse" / "0").cameras.values()
+    if found:
+        assert lens.principal_point_x == pytest.approx(160 - cut / 2, abs=3)
+        assert lens.principal_point_y == pytest.approx(120, abs=6)
+    else:
+        assert (lens.principal_point_x, lens.principal_point_y) == (160, 120)
+
+
+@pytest.mark.slow
 def test_a_photograph_of_something_else_is_left_out(taken: Path, tmp_path: Path):
     shots = photographs(ANGLES)
     save(shots, tmp_path / "in")
@@ -121,8 +141,6 @@ def test_masks_keep_features_inside_and_go_with_the_scene(tmp_path: Path):
     for name in names:
         cv2.imwrite(str(tmp_path / "in" / "masks" / f"{Path(name).stem}.png"), half)
     pose(tmp_path / "in", tmp_path / "out", PosingOptions(threads=2), Noted())
-    import pycolmap
-
     model = pycolmap.Reconstruction(tmp_path / "out" / "sparse" / "0")
     columns = [feature.xy[0] for image in model.images.values() for feature in image.points2D]
     assert max(columns) < 202

@@ -29,11 +29,13 @@ class Photograph:
     """4x4, OpenCV axes."""
 
 
-def photographs(angles: Sequence[float], width: int = 320, height: int = 240) -> list[Photograph]:
-    """From a ring, 4 from the axis and 2.2 above the floor, at these angles in degrees."""
+def photographs(
+    angles: Sequence[float], width: int = 320, height: int = 240, *, above: float = 2.2
+) -> list[Photograph]:
+    """From a ring, 4 from the axis and so far ``above`` the floor, at these angles in degrees."""
     generator = np.random.default_rng(5)
     textures = [_texture(generator, 8 if index == 0 else 3) for index in range(len(_FACES))]
-    return [_photograph(np.deg2rad(angle), width, height, textures) for angle in angles]
+    return [_photograph(np.deg2rad(angle), above, width, height, textures) for angle in angles]
 
 
 def save(shots: Sequence[Photograph], folder: Path) -> list[str]:
@@ -45,8 +47,8 @@ def save(shots: Sequence[Photograph], folder: Path) -> list[str]:
     return names
 
 
-def _photograph(angle: float, width: int, height: int, textures: Sequence[np.ndarray]) -> Photograph:
-    place = np.array([4 * np.cos(angle), 4 * np.sin(angle), 2.2])
+def _photograph(angle: float, above: float, width: int, height: int, textures: Sequence[np.ndarray]) -> Photograph:
+    place = np.array([4 * np.cos(angle), 4 * np.sin(angle), above])
     ahead = np.array([0, 0, 0.4]) - place
     ahead /= np.linalg.norm(ahead)
     right = np.cross(ahead, [0, 0, 1.0])

@@ -14,6 +14,8 @@ from sculpt_framework.evaluation.certificate import certify
 def main(
     data: str = "demo", out: Path = Path("outputs/first"), method: str = "gaussian-sculpting", seconds: float = 120
 ) -> None:
+    if out.exists() and any(out.iterdir()):
+        raise SystemExit(f"{out} is not empty; give another --out.")
     scene = sculpt.load(data)
     for note in scene.notes:
         print("note:", note)
@@ -23,7 +25,8 @@ def main(
     seal = certify(mesh.vertices, mesh.faces)
     print(f"{len(mesh.faces)} faces, watertight: {seal.watertight}, pieces: {seal.components}")
     last = session.curve[-1]
-    print(f"held-out views: {last['psnr']:.1f} dB; Chamfer distance: {last['chamfer_ps'] or 'no reference mesh'}")
+    psnr = "none" if last["psnr"] is None else f"{last['psnr']:.1f} dB"
+    print(f"held-out views: {psnr}; Chamfer distance: {last['chamfer_ps'] or 'no reference mesh'}")
     print("saved:", files["mesh"])
 
 

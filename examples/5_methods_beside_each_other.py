@@ -26,6 +26,8 @@ def main(
         session = sculpt.Session(scene, sculpt.methods[name](), max_time=seconds)
         session.run()
         points = [(row["t_wall_s"], row["psnr"]) for row in session.curve if row["psnr"] is not None]
+        if not points:
+            raise SystemExit(f"{data} has too few views to hold one out; ten or more are needed.")
         lines.append(Series(name=name, points=points))
         print(f"{name:24} {points[-1][1]:.2f} dB after {points[-1][0]:.0f} s")
     seconds_axis, psnr_axis = Axis(label="seconds", log=True), Axis(label="dB")

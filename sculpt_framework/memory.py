@@ -64,7 +64,7 @@ def _of_machine(root: Path) -> Iterator[int]:
     for line in _lines(root / "proc/meminfo"):
         if line.startswith("MemAvailable:"):
             yield int(line.split()[1]) << 10
-    if sys.platform != "linux":
+    if sys.platform != "linux" and root == Path("/"):
         import psutil
 
         yield psutil.virtual_memory().available

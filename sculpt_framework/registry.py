@@ -2,7 +2,8 @@
 
 Two sources: the table of built-ins (``sculpt_plugins/builtin.py``) and the entry points of installed packages, one
 group per slot (``sculpt_framework.fields`` and so on), ``sculpt_framework.methods`` and ``sculpt_framework.exporters``.
-What is in neither goes by its place, "module:class": a notebook's own loss needs no package.
+What is in neither goes by its place, "module:class", once its module is imported: a notebook's own loss needs no
+package.
 A package that is broken, or that takes a name another one has, disturbs nothing until that name is chosen.
 """
 
@@ -195,7 +196,17 @@ def closest(name: str, known: Iterable[str]) -> str | None:
 
 
 def _load(place: Slot, table: Mapping[str, str], name: str) -> type[ComponentConfig]:
-    candidate = _choose(_candidates(place.group, table), name, place.one)
+    module, by_place, _ = name.partition(":")
+    if by_place and module not in sys.modules:
+        # A name may come from a file, and files run no code.
+        raise UnknownComponentError(
+            f"{place.one} {name!r} goes by its place, and {module!r} is not imported. Import it first, or add the "
+            f"{place.one} to the entry points {place.group!r} of a package."
+        )
+    if by_place:
+        candidate = Candidate(name=name, package=module, value=name)
+    else:
+        candidate = _choose(_candidates(place.group, table), name, place.one)
     found = candidate.load(place.one)
     if not (isinstance(found, type) and issubclass(found, place.base) and is_dataclass(found)):
         raise ComponentImportError(
@@ -224,8 +235,6 @@ def _default(place: Slot, table: Mapping[str, str], name: str) -> ComponentConfi
 
 
 def _choose(candidates: Mapping[str, tuple[Candidate, ...]], name: str, what: str) -> Candidate:
-    if ":" in name:
-        return Candidate(name=name, package=name.partition(".")[0].partition(":")[0], value=name)
     known = spelled(name, candidates)
     if known is None:
         near = closest(name.replace("_", "-"), candidates)

@@ -51,8 +51,9 @@ def with_file(config: MethodConfig, path: Path) -> MethodConfig:
     """``config`` with what a JSON file says in its place: the whole of a run's config.json, or a few keys of it.
 
     Objects are merged key by key, a component of another "type" takes the place of the old one, and a list that of the
-    list, but for components that were in it before: they keep what the file does not say. Where results go ("output")
-    is not taken from a file. Raises ConfigError, which names the file.
+    list, but for components that were in it before: they keep what the file does not say. Where results go is not taken
+    from a file, nor, from the whole of a run's config.json, which views of its scene were left out. Raises ConfigError,
+    which names the file.
     """
     try:
         said = json.loads(path.read_text(encoding="utf-8"))
@@ -60,7 +61,8 @@ def with_file(config: MethodConfig, path: Path) -> MethodConfig:
             raise ConfigError(f"a configuration must be a JSON object, not {_kind(said)}.")
         if said.get("method", config.method) != config.method:
             raise ConfigError(f"it is of the method {said['method']!r}, not of {config.method!r}.")
-        own = {key: value for key, value in said.items() if key not in ("output", "repair")}
+        of_its_run = ("output", "repair", *(("skip_views",) if "version" in said else ()))
+        own = {key: value for key, value in said.items() if key not in of_its_run}
         return config_from_values(_merged(config_to_values(config), own))
     except OSError as error:
         raise ConfigError(f"{path} cannot be read: {error.strerror}.") from error
@@ -72,16 +74,21 @@ def with_file(config: MethodConfig, path: Path) -> MethodConfig:
 
 def _merged(base: Any, said: Any) -> Any:
     if isinstance(base, dict) and isinstance(said, dict):
-        if said.get("type", base.get("type")) != base.get("type"):
+        if "type" in said and _spelled(said["type"]) != _spelled(base.get("type")):
             return said
         return base | {key: _merged(base.get(key), value) for key, value in said.items()}
     if isinstance(base, list) and isinstance(said, list):
-        there = {each["type"]: each for each in base if isinstance(each, dict) and "type" in each}
+        there = {_spelled(each["type"]): each for each in base if isinstance(each, dict) and "type" in each}
         return [
-            _merged(there.get(each.get("type")), each) if isinstance(each, dict) and "type" in each else each
+            _merged(there.get(_spelled(each["type"])), each) if isinstance(each, dict) and "type" in each else each
             for each in said
         ]
     return said
+
+
+def _spelled(name: object) -> str:
+    """Underscores are dashes in a component's name; what is no name is left to decoding."""
+    return str(name).replace("_", "-")
 
 
 def config_to_values(config: MethodConfig) -> dict[str, Any]:
@@ -125,9 +132,19 @@ def _encode(value: object, path: str) -> Any:
     if isinstance(value, tuple):
         return [_encode(item, f"{path}[{index}]") for index, item in enumerate(value)]
     if is_dataclass(value):
-        tag = {"type": registry.name_of(value)} if isinstance(value, ComponentConfig) else {}
+        tag = {"type": _name_of(value, path)} if isinstance(value, ComponentConfig) else {}
         return tag | {each.name: _encode(getattr(value, each.name), _join(path, each.name)) for each in fields(value)}
     raise ConfigError(f"{path} is of type {type(value).__name__}, which a configuration cannot hold.")
+
+
+def _name_of(component: ComponentConfig, path: str) -> str:
+    name = registry.name_of(component)
+    if name.startswith("__main__:"):
+        raise ConfigError(
+            f"{path} is a {type(component).__qualname__} of a notebook or program, which no file can name; write it in "
+            "a module of its own."
+        )
+    return name
 
 
 def _decode(kind: Any, value: object, path: str) -> Any:

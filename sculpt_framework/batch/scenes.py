@@ -7,7 +7,7 @@ from sculpt_framework.command_line.request import parse
 from sculpt_framework.errors import ConfigError
 from sculpt_framework.experiments.plan import Cell, Plan, PlannedScene, folder_name, planned_scenes
 
-REFUSED_OPTIONS = ("--data", "--output", "--resume", "--viewer", "--refine-box")
+REFUSED_OPTIONS = ("--data", "--output", "--resume", "--viewer", "--refine-box", "--config")
 """What a batch sets itself, run by run, or what makes no sense for many runs."""
 _MARKS = ("transforms*.json", "cameras*.npz", "sparse", "render/transforms.json")
 """What lies in a folder that is one scene, in the layouts of docs/guide/data.md."""

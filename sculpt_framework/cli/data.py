@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from sculpt_framework.config import DatasetConfig
+    from sculpt_framework.datasets import Dataset
     from sculpt_framework.types import Scene, View
 
 
@@ -108,6 +109,8 @@ def choose_box(folder: str, port: int, downscale: int | None) -> str:
     from sculpt_framework.viewing.box_page import BoxPage
 
     check_address(HOST, port, "--port")
+    # Layouts without such an option say so now.
+    _dataset(folder, downscale, box=(-1.0, -1.0, -1.0, 1.0, 1.0, 1.0))
     try:
         scene = _load(folder, downscale)
     except DataError as error:
@@ -215,11 +218,15 @@ def _check_new(folder: Path) -> None:
         raise OutputError(f"{folder}: exists and is not empty; give a new or an empty folder with --out.")
 
 
-def _load(folder: str, downscale: int | None, **options: str) -> "Scene":
+def _load(folder: str, downscale: int | None, **options: object) -> "Scene":
+    return _dataset(folder, downscale, **options).load()
+
+
+def _dataset(folder: str, downscale: int | None, **options: object) -> "Dataset":
     config = cast("DatasetConfig", registry.default("dataset", "auto"))
     config = replace(config, **options, **({} if downscale is None else {"downscale": downscale}))
     check_component(config)
-    return config.build(folder).load()
+    return config.build(folder)
 
 
 def _write_picture(path: Path, pixels: "np.ndarray") -> None:

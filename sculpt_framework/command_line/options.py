@@ -163,6 +163,8 @@ def _choose(config: MethodConfig, slot: Slot, chosen: list[str]) -> MethodConfig
     kept = {registry.name_of(component): component for component in present}
     components: dict[str, ComponentConfig] = {}
     for word in chosen:
+        if ":" in word:
+            raise ConfigError(f"--{slot.name} {word}: parts without a package are for Python. Available: {available}.")
         try:
             kind = registry.load(slot.name, word)
         except UnknownComponentError as error:

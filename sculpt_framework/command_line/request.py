@@ -202,5 +202,7 @@ def _take(name: str, expected: str, words: Sequence[str]) -> tuple[Path | None, 
             raise ConfigError(f"{name} expects {expected}.")
         found = Path(value)
         del rest[index:end]
+        if any(word.partition("=")[0] == name for word in rest):
+            raise ConfigError(f"{name} is given twice. Give it once.")
         break
     return found, rest

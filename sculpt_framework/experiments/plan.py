@@ -17,7 +17,7 @@ from sculpt_framework.export.json_text import json_text
 
 PLAN_NAME = "plan.json"
 PLAN_SCHEMA = 1
-PLANNED_OPTIONS = ("--data", "--output", "--seed", "--resume", "--max-time", "--steps")
+PLANNED_OPTIONS = ("--data", "--output", "--seed", "--resume", "--max-time", "--steps", "--config")
 """What a plan sets itself, run by run."""
 
 

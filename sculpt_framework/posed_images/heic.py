@@ -13,6 +13,8 @@ _HEIC = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"hevm", b"hevs")
 _EITHER = (b"mif1", b"msf1")
 """Brands of the container, whatever codec is in it."""
 _QUALITY = 95
+CONVERSIONS = (".jpg", ".png")
+"""Suffixes of what ``converted`` makes."""
 
 
 def is_heic(data: bytes) -> bool:
@@ -48,20 +50,25 @@ def read_heic(data: bytes, path: Path) -> tuple[np.ndarray | None, tuple[int, in
     return np.ascontiguousarray(pixels), (pixels.shape[1], pixels.shape[0])
 
 
-def as_jpeg(path: Path) -> bytes:
-    """The image, HEIC or whatever Pillow reads, as a JPEG file with its EXIF; HEIC upright.
+def converted(path: Path) -> tuple[str, bytes]:
+    """The image, HEIC or whatever Pillow reads, as a JPEG file, or as a PNG where it has alpha; and the suffix of that.
 
-    Raises DataError where it cannot be read.
+    EXIF goes with it; HEIC is turned upright. Raises DataError where it cannot be read.
     """
     try:
         with open(path, "rb") as file:
             heic = is_heic(file.read(64))
         image = _reader(path).open_heif(path).to_pillow() if heic else Image.open(path)
+        exif = (image.info.get("exif") or b"") if heic else image.getexif()
+        if image.has_transparency_data:
+            png = BytesIO()
+            image.convert("RGBA").save(png, "PNG", exif=exif)
+            return ".png", png.getvalue()
         jpeg = BytesIO()
-        image.convert("RGB").save(jpeg, "JPEG", quality=_QUALITY, subsampling=0, exif=image.info.get("exif") or b"")
+        image.convert("RGB").save(jpeg, "JPEG", quality=_QUALITY, subsampling=0, exif=exif)
     except (OSError, ValueError, EOFError, RuntimeError, SyntaxError, Image.DecompressionBombError) as error:
         raise DataError(f"{path}: cannot be read as an image ({error}); remove it, or convert it again.") from error
-    return jpeg.getvalue()
+    return ".jpg", jpeg.getvalue()
 
 
 def _reader(path: Path) -> ModuleType:

@@ -14,7 +14,7 @@ import numpy as np
 
 from sculpt_framework.errors import DataError, OutputError
 from sculpt_framework.export.atomic import cannot_write, write_atomically
-from sculpt_framework.posed_images.heic import as_jpeg
+from sculpt_framework.posed_images.heic import CONVERSIONS, converted
 from sculpt_framework.posed_images.masks import read_mask
 from sculpt_framework.posing import colmap
 from sculpt_framework.posing.announcer import Announcer
@@ -201,23 +201,35 @@ def _frames(at_work: _Posing) -> Photographs:
 
 
 def _placed(found: Photographs, scene: Path) -> Photographs:
-    """The photographs and their masks inside the scene, where they are not there already; ``CONVERTED`` as JPEG."""
-    converted = [name for name in found.names if Path(name).suffix.lower() in CONVERTED]
-    if not converted and found.root.resolve() == (scene / "images").resolve():
+    """The photographs and their masks inside the scene, where they are not there already; those that pycolmap does not
+    read are converted."""
+    foreign = [name for name in found.names if Path(name).suffix.lower() in CONVERTED]
+    if not foreign and found.root.resolve() == (scene / "images").resolve():
         return found
     names, masks = [], list[Path | None]()
     for name, mask in zip(found.names, found.masks, strict=True):
-        names.append(f"{name}.jpg" if name in converted else name)
-        target = scene / "images" / names[-1]
-        if name not in converted:
-            _place(found.root / name, target)
-        elif not target.exists():
-            target.parent.mkdir(parents=True, exist_ok=True)
-            write_atomically(target, as_jpeg(found.root / name))
+        if name in foreign:
+            names.append(f"{name}{_convert(found.root / name, scene / 'images' / name)}")
+        else:
+            names.append(name)
+            _place(found.root / name, scene / "images" / name)
         masks.append(None if mask is None else _place(mask, scene / "masks" / f"{names[-1]}{mask.suffix}"))
-    kinds = ", ".join(sorted({Path(name).suffix.lower()[1:] for name in converted}))
-    notes = (*found.notes, f"{len(converted)} photographs ({kinds}) are written as JPEG.") if converted else found.notes
+    kinds = ", ".join(sorted({Path(name).suffix.lower()[1:] for name in foreign}))
+    notes = (
+        (*found.notes, f"{len(foreign)} photographs ({kinds}) are written as JPEG or PNG.") if foreign else found.notes
+    )
     return Photographs(root=scene / "images", names=tuple(names), masks=tuple(masks), notes=notes)
+
+
+def _convert(source: Path, target: Path) -> str:
+    """Write the image beside ``target``, unless it is there already; the suffix that is added to the name."""
+    for suffix in CONVERSIONS:
+        if target.with_name(target.name + suffix).exists():
+            return suffix
+    suffix, content = converted(source)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(target.with_name(target.name + suffix), content)
+    return suffix
 
 
 def _place(source: Path, target: Path) -> Path:

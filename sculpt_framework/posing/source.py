@@ -12,7 +12,7 @@ from sculpt_framework.posed_images.folders import contents
 from sculpt_framework.posed_images.masks import MASK_FOLDERS, find_masks, without_masks
 
 CONVERTED = (".heic", ".heif", ".webp", ".avif")
-"""What pycolmap does not read: the scene gets JPEGs."""
+"""What pycolmap does not read: the scene gets JPEGs, or PNGs where there is alpha."""
 PHOTOGRAPHS = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", *CONVERTED)
 VIDEOS = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mts")
 FEWEST = 3

@@ -1,5 +1,6 @@
 """A page on which a person chooses the box of a scene: it is drawn into photographs as it is moved."""
 
+import math
 import threading
 
 import numpy as np
@@ -34,7 +35,8 @@ class BoxPage:
         gui.add_markdown("Move the box by its arrows until it holds the object in every photograph, and little else.")
         smallest = 1e-4 * float((high - low).max())
         least = (smallest, smallest, smallest)
-        sides = gui.add_vector3("Sides", (1.0, 1.0, 1.0), min=least, step=10 * smallest)
+        x, y, z = np.maximum(high - low, smallest).tolist()
+        sides = gui.add_vector3("Sides", (x, y, z), min=least, step=10 * smallest)
         self._words = gui.add_markdown("")
         gui.add_button("Use this box").on_click(lambda _: self._content.set())
         chosen = np.unique(np.linspace(0, count - 1, min(count, _PICTURES)).round().astype(int)).tolist()
@@ -61,7 +63,9 @@ class BoxPage:
     @property
     def words(self) -> str:
         """The option that gives this box to a run."""
-        return f"--dataset.box {' '.join(f'{value:.5g}' for corner in self._box.corners for value in corner)}"
+        low, high = self._box.corners
+        decimals = max(0, 4 - math.floor(math.log10(max(float((high - low).max()), 1e-300))))
+        return f"--dataset.box {' '.join(f'{value:.{decimals}f}' for corner in (low, high) for value in corner)}"
 
     def wait(self) -> Box:
         """Until a person is content. Returns the box."""
@@ -72,6 +76,7 @@ class BoxPage:
         return self.box
 
     def close(self) -> None:
+        self._content.set()
         stop_server(self.server)
 
     def _choose(self, index: int) -> None:

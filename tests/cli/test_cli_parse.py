@@ -188,6 +188,37 @@ def test_a_file_that_does_not_fit_is_told(text: str, message: str, tmp_path: Pat
         parse(["gaussian-sculpting", "--data", "demo", "--config", str(tmp_path / "settings.json")])
 
 
+def test_underscores_in_a_type_and_a_list_s_nonsense(tmp_path: Path):
+    (tmp_path / "a.json").write_text(json.dumps({"binder": {"type": "face_barycentric"}}))
+    config = parse(["gaussian-sculpting-paper", "--data", "demo", "--config", str(tmp_path / "a.json")])
+    plain = parse(["gaussian-sculpting-paper", "--data", "demo"])
+    assert isinstance(config, SculptingConfig)
+    assert isinstance(plain, SculptingConfig)
+    assert config.binder == plain.binder
+    (tmp_path / "b.json").write_text(json.dumps({"losses": [{"type": ["a"]}]}))
+    with pytest.raises(ConfigError, match="expected the name of a loss"):
+        parse(["gaussian-sculpting", "--data", "demo", "--config", str(tmp_path / "b.json")])
+    with pytest.raises(ConfigError, match="--config is given twice"):
+        parse(["gaussian-sculpting", "--config", str(tmp_path / "a.json"), "--config", str(tmp_path / "b.json")])
+
+
+def test_views_that_a_run_left_out_are_its_own(tmp_path: Path):
+    config = replace(parse(["gaussian-sculpting", "--data", "demo"]), skip_views=("r_3",))
+    (tmp_path / "config.json").write_text(config_to_json(config))
+    again = parse(["gaussian-sculpting", "--data", "x", "--config", str(tmp_path / "config.json")])
+    assert again.skip_views == ()
+
+
+def test_no_module_is_imported_for_a_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    (tmp_path / "evil.py").write_text("raise SystemExit('ran')")
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "a.json").write_text(json.dumps({"field": {"type": "evil:Field"}}))
+    with pytest.raises(ConfigError, match="'evil' is not imported"):
+        parse(["gaussian-sculpting", "--data", "demo", "--config", str(tmp_path / "a.json")])
+    with pytest.raises(ConfigError, match="parts without a package are for Python"):
+        parse(["gaussian-sculpting", "--data", "demo", "--field", "evil:Field"])
+
+
 def test_a_file_must_be_there_and_is_not_for_a_saved_run(tmp_path: Path):
     with pytest.raises(ConfigError, match=r"none\.json cannot be read: No such file"):
         parse(["gaussian-sculpting", "--data", "demo", "--config", str(tmp_path / "none.json")])

@@ -121,13 +121,22 @@ def test_heic_photographs_become_jpegs_of_the_scene(tmp_path: Path):
 
 def test_webp_photographs_become_jpegs_of_the_scene(tmp_path: Path):
     for number in range(3):
-        Image.new("RGB", (64, 48), (90, 40 * number, 30)).save(tmp_path / f"{number}.webp", lossless=True)
+        exif = Image.Exif()
+        exif.get_ifd(0x8769)[0x920A] = 4.2
+        Image.new("RGB", (64, 48), (90, 40 * number, 30)).save(tmp_path / f"{number}.webp", lossless=True, exif=exif)
     with pytest.raises(DataError):
         pose(tmp_path, tmp_path / "out", PosingOptions(), Silent())
     made = sorted((tmp_path / "out" / "images").iterdir())
     assert [path.name for path in made] == ["0.webp.jpg", "1.webp.jpg", "2.webp.jpg"]
     with Image.open(made[1]) as image:
         assert np.abs(np.asarray(image).mean(axis=(0, 1)) - (90, 40, 30)).max() < 4
+        assert float(image.getexif().get_ifd(0x8769)[0x920A]) == pytest.approx(4.2)
+    cut_out = Image.new("RGBA", (64, 48), (90, 40, 30, 0))
+    cut_out.save(tmp_path / "2.webp", lossless=True)
+    with pytest.raises(DataError):
+        pose(tmp_path, tmp_path / "with alpha", PosingOptions(), Silent())
+    with Image.open(tmp_path / "with alpha" / "images" / "2.webp.png") as image:
+        assert np.asarray(image)[..., 3].max() == 0
     (tmp_path / "1.webp").write_bytes(b"RIFF....WEBP")
     with pytest.raises(DataError, match=r"1\.webp: cannot be read as an image"):
         pose(tmp_path, tmp_path / "again", PosingOptions(), Silent())

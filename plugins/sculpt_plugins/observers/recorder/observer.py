@@ -111,6 +111,8 @@ def metrics_of(facts: Mapping[str, Any], event: Event) -> Mapping[str, Any]:
     """The content of metrics.json. ``facts`` is what the start and the end of the run said about it."""
     final = {**dict.fromkeys(CURVE_COLUMNS), "t_train_s": event.t_train, "t_wall_s": event.t_wall, "outer": event.outer}
     final |= {name: value for name, value in (facts.get("final") or {}).items() if name not in _NOT_MEASURES}
+    # Those of the end: what is measured last takes time, too.
+    final |= {"t_train_s": event.t_train, "t_wall_s": event.t_wall}
     return {
         "schema": METRICS_SCHEMA,
         "status": facts.get("status"),

@@ -62,6 +62,7 @@ def _numbers(
 def _name(component: ComponentConfig) -> str:
     """As on the command line; from Python a component may be used that is not registered."""
     try:
-        return name_of(component)
+        name = name_of(component)
     except ConfigError:
         return type(component).__name__
+    return type(component).__name__ if ":" in name else name

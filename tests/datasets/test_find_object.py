@@ -97,6 +97,7 @@ def test_a_bare_table_is_no_object():
     assert "solid" in said or "no object ends within it" in said
 
 
+@pytest.mark.slow
 def test_images_without_anything_in_common_show_no_object():
     noise = torch.Generator().manual_seed(0)
     views = [replace(view, rgb=torch.rand(view.rgb.shape, generator=noise)) for view in ring(OnTable())]

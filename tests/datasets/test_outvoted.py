@@ -74,6 +74,7 @@ def test_those_that_cut_a_part_off_are_left_out_and_named(views: list[View], spo
     assert all(f"r_{number}" in note for number in which)
 
 
+@pytest.mark.slow
 def test_so_is_one_whose_camera_is_wrong():
     """Of an object that looks otherwise from there: a ball does not tell."""
     item = demo_object("machine")

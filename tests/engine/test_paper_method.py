@@ -78,6 +78,7 @@ def test_choices_the_paper_describes_without_a_number(paper: MethodConfig):
     assert {stage.image_scale for stage in paper.trainer.stages} == {1.0}
 
 
+@pytest.mark.slow
 def test_it_runs(paper: MethodConfig, scene: Scene):
     """The method as it is, but for the counts that make it take hours."""
     first, second = paper.trainer.stages

@@ -86,6 +86,7 @@ def test_three_processes_do_what_one_does(outcomes: tuple[dict[str, Job], Path])
     np.testing.assert_allclose(one.vertices, three.vertices, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_only_the_first_process_writes_and_speaks(outcomes: tuple[dict[str, Job], Path]):
     told, work = outcomes
     assert told["three"]["said"][1:] == ["", ""]
@@ -94,6 +95,7 @@ def test_only_the_first_process_writes_and_speaks(outcomes: tuple[dict[str, Job]
     assert sum(json.loads(line)["event"] == "run_ended" for line in events) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "dead", "left"), [("dead", 1, 0), ("headless", 0, 1)])
 def test_a_dead_process_is_named_and_the_run_goes_on(
     name: str, dead: int, left: int, outcomes: tuple[dict[str, Job], Path]
@@ -115,6 +117,7 @@ def test_a_dead_process_is_named_and_the_run_goes_on(
     assert mesh_of(work / name).vertices.shape[0] > 100
 
 
+@pytest.mark.slow
 def test_a_run_keeps_its_batch_whoever_goes_on_with_it(outcomes: tuple[dict[str, Job], Path]):
     _, work = outcomes
     assert read_config(work / "headless" / "config.json").trainer.inner_batch == 2

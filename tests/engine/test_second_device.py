@@ -76,7 +76,7 @@ def test_tensors_of_two_devices_do_not_mix():
 @pytest.mark.parametrize(
     "drawing",
     [
-        pytest.param(ReferenceRasterizerConfig(), id="reference"),
+        pytest.param(ReferenceRasterizerConfig(), id="reference", marks=pytest.mark.slow),
         pytest.param(TritonRasterizerConfig(), id="triton", marks=[pytest.mark.slow, INTERPRETED]),
     ],
 )

@@ -31,6 +31,7 @@ def from_sphere(scene: Scene, **changes: object) -> Outcome:
     return train(config, scene)
 
 
+@pytest.mark.slow
 def test_a_sphere_comes_near_the_object_before_the_first_stage(scene: Scene):
     shaped = from_sphere(scene)
     assert len(shaping(shaped)) == 1

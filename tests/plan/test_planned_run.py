@@ -104,6 +104,7 @@ def test_without_a_plan_nobody_looks(scene: Scene, monkeypatch: pytest.MonkeyPat
     assert plan_scene(config, scene) == (config, None)
 
 
+@pytest.mark.slow
 def test_a_run_keeps_its_plan_and_goes_on_with_it(
     scene_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -46,6 +46,7 @@ def test_the_largest_eigenvalue_keeps_its_digits_where_both_agree():
 NOTICED = ("life-colour-nan", "life-shape-nan")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NOTICED)
 def test_injuries_are_noticed_at_once(name: str):
     (case,) = (case for case in life.life_cases() if case.id == name)

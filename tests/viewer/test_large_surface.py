@@ -50,6 +50,7 @@ def test_the_large_surface_is_one():
     assert (low + side * np.array(grid.shape) > 0.9).all()
 
 
+@pytest.mark.slow
 def test_no_layer_is_more_than_a_second_of_a_slow_line(frame: Frame, server: viser.ViserServer):
     assert len(frame.faces) > 490_000
     assert frame.gaussians is not None

@@ -93,11 +93,12 @@ def find_object(
     share = sum(int((each.inside & each.sure).sum()) for each in rough) / max(1, whole)
     if share < _SURE:
         return f"{solid.known}, but of what they make up only {100 * share:.0f} % is seen"
-    rough = _with_plain_parts(posed, rough, solid)
-    done = in_threads(lambda pair: _with_mask(*pair), list(zip(given, rough, strict=True)))
-    train = [view for view in done[: len(views)] if view.alpha is not None and float(view.alpha.mean()) >= LEAST]
-    if len(train) < _SHOWN * len(views):
-        return f"{solid.known}, but only {len(train)} of {len(views)} images show what they make up"
+    # By depths alone it must be shown well enough: what colours add to a speck is no object.
+    shown = sum(_shows(view) for view in _masked(given, rough)[: len(views)])
+    if shown < _SHOWN * len(views):
+        return f"{solid.known}, but only {shown} of {len(views)} images show what they make up"
+    done = _masked(given, _with_plain_parts(posed, rough, solid))
+    train = [view for view in done[: len(views)] if _shows(view)]
     said = f"{bare} of {len(done)} images have no mask: the object is what they agree on in depth ({solid.known})"
     said += (
         "; the plane it stands on is cut away (--dataset.keep-support leaves it)" if solid.support is not None else ""
@@ -257,5 +258,14 @@ def _with_plain_parts(views: Sequence[View], rough: Sequence[_Rough], solid: _So
     return out
 
 
-def _with_mask(view: View, rough: _Rough) -> View:
-    return view if view.alpha is not None else masked(view, cut_along(view, rough.inside, rough.sure))
+def _masked(views: Sequence[View], rough: Sequence[_Rough]) -> list[View]:
+    """Those without an alpha get one, along their rough outlines."""
+
+    def with_mask(view: View, own: _Rough) -> View:
+        return view if view.alpha is not None else masked(view, cut_along(view, own.inside, own.sure))
+
+    return in_threads(lambda pair: with_mask(*pair), list(zip(views, rough, strict=True)))
+
+
+def _shows(view: View) -> bool:
+    return view.alpha is not None and float(view.alpha.mean()) >= LEAST

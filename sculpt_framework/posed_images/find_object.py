@@ -18,9 +18,9 @@ from scipy import ndimage
 
 from sculpt_framework.multi_view_stereo.depth_maps import DepthMaps, StereoOptions, depth_bounds, find_depths
 from sculpt_framework.multi_view_stereo.fusion import fuse_without_outlines
-from sculpt_framework.multi_view_stereo.stereo_views import stereo_views
+from sculpt_framework.multi_view_stereo.stereo_views import StereoViews, stereo_views
 from sculpt_framework.posed_images.grab_cut import LEAST, cut_along, masked
-from sculpt_framework.posed_images.plain_parts import Outline, agreed, grown
+from sculpt_framework.posed_images.plain_parts import agreed, grown
 from sculpt_framework.posed_images.support import Plane, find_support
 from sculpt_framework.shape_from_images.volume import Volume, whole_box
 from sculpt_framework.threads import in_threads
@@ -88,16 +88,19 @@ def find_object(
     solid = _solid([posed[index] for index in chosen], sure=sure, keep_support=keep_support)
     if isinstance(solid, str):
         return solid
-    rough = _outlines(posed, solid)
+    stack = stereo_views([replace(view, alpha=None) for view in posed], _AROUND * _PIXELS / 2)
+    rough = _outlines(stack, len(posed), solid)
     whole = sum(int(each.inside.sum()) for each in rough)
     share = sum(int((each.inside & each.sure).sum()) for each in rough) / max(1, whole)
     if share < _SURE:
         return f"{solid.known}, but of what they make up only {100 * share:.0f} % is seen"
     # By depths alone it must be shown well enough: what colours add to a speck is no object.
-    shown = sum(_shows(view) for view in _masked(given, rough)[: len(views)])
+    done = _masked(given, rough)
+    shown = sum(map(_shows, done[: len(views)]))
     if shown < _SHOWN * len(views):
         return f"{solid.known}, but only {shown} of {len(views)} images show what they make up"
-    done = _masked(given, _with_plain_parts(posed, rough, solid))
+    if not _one_sided(posed):
+        done = _masked(given, _with_plain_parts(posed, rough, stack, solid))
     train = [view for view in done[: len(views)] if _shows(view)]
     said = f"{bare} of {len(done)} images have no mask: the object is what they agree on in depth ({solid.known})"
     said += (
@@ -218,8 +221,8 @@ class _Rough:
 _NOTHING = _Rough(inside=np.zeros((1, 1), bool), sure=np.zeros((1, 1), bool))
 
 
-def _outlines(views: Sequence[View], solid: _Solid) -> list[_Rough]:
-    stack = stereo_views([replace(view, alpha=None) for view in views], _AROUND * _PIXELS / 2)
+def _outlines(stack: StereoViews, count: int, solid: _Solid) -> list[_Rough]:
+    """Of so many views, of which ``stack`` has those that show the volume."""
     nearest, _ = depth_bounds(stack, solid.inside, solid.volume)
     nearest_seen, _ = depth_bounds(stack, solid.inside & solid.seen, solid.volume)
     sure = (nearest_seen > 0) & (nearest_seen < nearest + _GROWN * solid.volume.cell)
@@ -227,31 +230,32 @@ def _outlines(views: Sequence[View], solid: _Solid) -> list[_Rough]:
         int(given): _Rough(inside=nearest[i, :rows, :columns] > 0, sure=sure[i, :rows, :columns])
         for i, (given, (rows, columns)) in enumerate(zip(stack.given, stack.sizes, strict=True))
     }
-    return [found.get(index, _NOTHING) for index in range(len(views))]
+    return [found.get(index, _NOTHING) for index in range(count)]
 
 
-def _with_plain_parts(views: Sequence[View], rough: Sequence[_Rough], solid: _Solid) -> list[_Rough]:
-    """The outlines with what else is the object by the colours of all views, above what it stands on.
-
-    Nothing is added where all views are from one side: they agree on too much behind the object and beside it.
-    """
+def _one_sided(views: Sequence[View]) -> bool:
+    """Whether all are from one side: such views agree on too much behind the object and beside it."""
     ways = np.stack([view.camera.position.double().numpy() for view in views])
     ways /= np.linalg.norm(ways, axis=1, keepdims=True).clip(min=1e-12)
-    if np.linalg.norm(ways.mean(axis=0)) > _ONE_SIDED:
-        return list(rough)
-    bare = [number for number, (view, each) in enumerate(zip(views, rough, strict=True)) if each.inside.any()]
-    outlines = [Outline(view=views[number], inside=rough[number].inside) for number in bare]
-    masks = grown(outlines)
+    return bool(np.linalg.norm(ways.mean(axis=0)) > _ONE_SIDED)
+
+
+def _with_plain_parts(
+    views: Sequence[View], rough: Sequence[_Rough], stack: StereoViews, solid: _Solid
+) -> list[_Rough]:
+    """The outlines with what else is the object by the colours of all views, above what it stands on."""
+    showing = [number for number, each in enumerate(rough) if each.inside.any()]
+    masks = grown([views[number] for number in showing], [rough[number].inside for number in showing])
     half = _MORE / _AROUND
     volume = whole_box((half, half, half), _PLAIN_CELLS)
-    full = agreed(volume.points, outlines, masks)
+    points = volume.points.astype(float)
+    full = agreed(points, [views[number].camera for number in showing], masks)
     if solid.support is not None:
-        full &= solid.support.height(volume.points.astype(float)) > _CLEAR
-    stack = stereo_views([replace(view, alpha=None) for view in views], _AROUND * _PIXELS / 2)
+        full &= solid.support.height(points) > _CLEAR
     nearest, _ = depth_bounds(stack, full.reshape(volume.shape), volume)
     held = {int(given): nearest[i] > 0 for i, given in enumerate(stack.given)}
     out = list(rough)
-    for number, mask in zip(bare, masks, strict=True):
+    for number, mask in zip(showing, masks, strict=True):
         rows, columns = mask.shape
         more = mask & held[number][:rows, :columns]
         out[number] = _Rough(inside=rough[number].inside | more, sure=rough[number].sure | more)

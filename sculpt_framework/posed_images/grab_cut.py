@@ -50,21 +50,37 @@ def cut(image: UInt8[np.ndarray, "h w 3"], trimap: Trimap, colors: Colors) -> Ma
     return without_specks(_decided(image, trimap, known, 1, cv2.GC_EVAL_FREEZE_MODEL))
 
 
-def strip(start: Mask, wide: int, *, sure: Mask, possible: Mask) -> Trimap:
+def strip(start: Mask, wide: int, *, sure: Mask, possible: Mask, within: int | None = None) -> Trimap:
     """What may be decided within ``wide`` pixels of a mask's outline: outside of it is background, and so is what is
-    not ``possible``; inside of it is the object where that is ``sure``."""
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * wide + 1, 2 * wide + 1))
+    not ``possible``; inside of it is the object where that is ``sure``, from ``within`` pixels on if that is given."""
     # The image's border is no outline: an object that is cut off there goes on.
-    inner = cv2.erode(start.astype(np.uint8), kernel, borderValue=1).astype(bool) & sure
-    outer = cv2.dilate(start.astype(np.uint8), kernel).astype(bool) & possible
+    inner = cv2.erode(start.astype(np.uint8), _disk(wide if within is None else within), borderValue=1) > 0
+    inner &= sure
+    outer = (cv2.dilate(start.astype(np.uint8), _disk(wide)) > 0) & possible
     trimap = np.where(start, cv2.GC_PR_FGD, cv2.GC_PR_BGD)
     trimap = np.where(outer, trimap, cv2.GC_BGD)
     return np.where(inner, cv2.GC_FGD, trimap).astype(np.uint8)
 
 
-def _decided(image: UInt8[np.ndarray, "h w 3"], trimap: Trimap, colors: Colors, rounds: int, mode: int) -> Mask:
+def learned_cut(image: UInt8[np.ndarray, "h w 3"], trimap: Trimap, rounds: int, margin: int | None = None) -> Mask:
+    """What looks like the object, by colours that are learned near what is to be decided: within ``margin`` pixels of
+    it, or as many as suit its size."""
+    # The clusters it starts from are drawn at random, from a generator of each thread.
+    cv2.setRNGSeed(0)
+    learned = Colors(background=np.zeros((1, 65)), object=np.zeros((1, 65)))
+    return _decided(image, trimap, learned, rounds, cv2.GC_INIT_WITH_MASK, margin)
+
+
+def _decided(
+    image: UInt8[np.ndarray, "h w 3"],
+    trimap: Trimap,
+    colors: Colors,
+    rounds: int,
+    mode: int,
+    margin: int | None = None,
+) -> Mask:
     """What GrabCut takes for the object; ``colors`` are changed in place."""
-    window = _window(trimap != cv2.GC_BGD)
+    window = window_of(trimap != cv2.GC_BGD, margin)
     pixels, inside = np.ascontiguousarray(image[window]), trimap[window].copy()
     cv2.grabCut(pixels, inside, (0, 0, 1, 1), colors.background, colors.object, rounds, mode)
     out = np.zeros(trimap.shape, bool)
@@ -72,11 +88,13 @@ def _decided(image: UInt8[np.ndarray, "h w 3"], trimap: Trimap, colors: Colors, 
     return out
 
 
-def _window(open_at: Mask) -> tuple[slice, slice]:
-    """Rows and columns around what is to be decided, with as much background again as tells the two apart."""
+def window_of(open_at: Mask, margin: int | None = None) -> tuple[slice, slice]:
+    """Rows and columns around what is to be decided, with so much around it, else as much background again as tells the
+    two apart."""
     height, width = open_at.shape
     rows, columns = np.flatnonzero(open_at.any(axis=1)), np.flatnonzero(open_at.any(axis=0))
-    margin = max(4, round(0.15 * max(rows[-1] - rows[0], columns[-1] - columns[0])))
+    if margin is None:
+        margin = max(4, round(0.15 * max(rows[-1] - rows[0], columns[-1] - columns[0])))
     return (
         slice(max(0, rows[0] - margin), min(height, rows[-1] + 1 + margin)),
         slice(max(0, columns[0] - margin), min(width, columns[-1] + 1 + margin)),
@@ -99,10 +117,13 @@ def without_specks(mask: Mask) -> Mask:
 def reduced(view: View, side: int) -> SmallView:
     camera = view.camera
     factor = min(1.0, side / max(camera.width, camera.height))
-    width, height = max(1, round(camera.width * factor)), max(1, round(camera.height * factor))
-    image = cv2.resize(view.rgb.numpy(), (width, height), interpolation=cv2.INTER_AREA)
+    return resized(view, max(1, round(camera.width * factor)), max(1, round(camera.height * factor)))
+
+
+def resized(view: View, width: int, height: int) -> SmallView:
+    image = np.asarray(cv2.resize(view.rgb.numpy(), (width, height), interpolation=cv2.INTER_AREA))
     pixels = np.ascontiguousarray(np.rint(image.clip(0, 1) * 255).astype(np.uint8)[:, :, ::-1])
-    return SmallView(image=pixels, camera=camera.resized(width, height))
+    return SmallView(image=pixels, camera=view.camera.resized(width, height))
 
 
 def masked(view: View, mask: Mask) -> View:
@@ -131,6 +152,8 @@ def cut_along(view: View, rough: Mask, sure: Mask) -> Bool[np.ndarray, "h2 w2"]:
     trimap = strip(start, wide, sure=seen, possible=np.ones_like(start))
     if not (trimap == cv2.GC_FGD).any() or not (trimap == cv2.GC_BGD).any():
         return start
-    cv2.setRNGSeed(0)
-    learned = Colors(background=np.zeros((1, 65)), object=np.zeros((1, 65)))
-    return _decided(small.image, trimap, learned, _LEARNED, cv2.GC_INIT_WITH_MASK)
+    return learned_cut(small.image, trimap, _LEARNED)
+
+
+def _disk(radius: int) -> UInt8[np.ndarray, "k k"]:
+    return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1)).astype(np.uint8)

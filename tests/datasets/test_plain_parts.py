@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from sculpt_framework.demo_scenes.cameras import demo_cameras
-from sculpt_framework.posed_images.plain_parts import Outline, agreed, grown
+from sculpt_framework.posed_images.plain_parts import agreed, grown
 from sculpt_framework.types import Camera, View
 
 RADIUS, CAP, SIDE = 0.6, 0.52, 96
@@ -36,8 +36,7 @@ def ball(camera: Camera, spot: bool) -> tuple[View, np.ndarray, np.ndarray]:
 def test_a_cap_comes_back_and_a_spot_that_one_view_has_does_not():
     cameras = demo_cameras(16, SIDE)
     shots = [ball(camera, spot=number == 2) for number, camera in enumerate(cameras)]
-    outlines = [Outline(view=view, inside=known) for view, _, known in shots]
-    masks = grown(outlines)
+    masks = grown([view for view, _, _ in shots], [known for _, _, known in shots])
     missing = [(whole & ~known).sum() for _, whole, known in shots]
     back = [(mask & whole & ~known).sum() for mask, (_, whole, known) in zip(masks, shots, strict=True)]
     assert sum(missing) > 300
@@ -45,9 +44,9 @@ def test_a_cap_comes_back_and_a_spot_that_one_view_has_does_not():
     assert all((mask & known).sum() == known.sum() for mask, (_, _, known) in zip(masks, shots, strict=True))
     first, whole = masks[2], shots[2][1]
     assert (first & ~whole).sum() > 30, "by itself, a view takes the spot"
-    points = np.random.default_rng(0).uniform(-1, 1, (20_000, 3)).astype(np.float32)
+    points = np.random.default_rng(0).uniform(-1, 1, (20_000, 3))
     inside = np.linalg.norm(points, axis=1)
-    held = agreed(points, outlines, masks)
+    held = agreed(points, cameras, masks)
     # Where one view has not grown enough, nothing behind it is agreed upon; the known outlines stay in any case.
     cap = points[:, 2] > CAP
     assert held[(inside < 0.9 * RADIUS) & ~cap].mean() > 0.8
@@ -58,18 +57,17 @@ def test_a_cap_comes_back_and_a_spot_that_one_view_has_does_not():
 def test_what_shows_nothing_and_what_fills_the_image_stay():
     view, _, known = ball(demo_cameras(4, SIDE)[0], spot=False)
     nothing, everything = np.zeros_like(known), np.ones_like(known)
-    masks = grown([Outline(view=view, inside=nothing), Outline(view=view, inside=everything)])
+    masks = grown([view, view], [nothing, everything])
     assert not masks[0].any()
     assert masks[1].all()
-    behind = view.camera.position.numpy()[None] * 2
-    assert agreed(behind.astype(np.float32), [Outline(view=view, inside=everything)], masks[1:]).tolist() == [False]
+    behind = view.camera.position.double().numpy()[None] * 2
+    assert agreed(behind, [view.camera], masks[1:]).tolist() == [False]
 
 
 @pytest.mark.parametrize("share", [0.4, 1.0])
 def test_who_does_not_show_a_place_has_no_say(share: float):
     view, _, known = ball(demo_cameras(4, SIDE)[0], spot=False)
-    aside = View(name="w", camera=view.camera.crop(0, 0, 4, 4), rgb=view.rgb[:4, :4], alpha=None)
-    outlines = [Outline(view=view, inside=known)] * 4
-    outlines += [Outline(view=aside, inside=np.zeros((4, 4), bool))] * round(4 * (1 / share - 1))
-    held = agreed(np.zeros((1, 3), np.float32), outlines, [each.inside for each in outlines])
+    others = round(4 * (1 / share - 1))
+    cameras = [view.camera] * 4 + [view.camera.crop(0, 0, 4, 4)] * others
+    held = agreed(np.zeros((1, 3)), cameras, [known] * 4 + [np.zeros((4, 4), bool)] * others)
     assert held.tolist() == [share > 0.5]

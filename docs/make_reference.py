@@ -8,6 +8,7 @@ writes them into ``docs/reference/generated``; building the site does so first.
 import ast
 import inspect
 import os
+import re
 import subprocess
 import sys
 import textwrap
@@ -22,7 +23,6 @@ from sculpt_framework.cli.sculpt import RARE, USUAL
 
 FOLDER = Path(__file__).parent / "reference" / "generated"
 WIDTH = 100
-DATA_COMMANDS = ("demo", "list", "inspect", "box", "masks", "depths", "pose", "markers", "scale", "pose-board")
 
 
 def main() -> int:
@@ -44,7 +44,8 @@ def commands() -> str:
         if command.name == "train":
             asked.append((f"### {program} gaussian-sculpting", command.module, ["gaussian-sculpting"]))
         if command.name == "data":
-            asked += [(f"### {program} {name}", command.module, [name]) for name in DATA_COMMANDS]
+            own = re.findall(r"^ {4}([a-z-]+)(?= |$)", help_of(command.module, []), re.MULTILINE)
+            asked += [(f"### {program} {name}", command.module, [name]) for name in own]
     with ThreadPoolExecutor(os.cpu_count()) as threads:
         said = list(threads.map(lambda each: help_of(each[1], each[2]), asked))
     parts = [f"{heading}\n\n```text\n{text}\n```\n" for (heading, _, _), text in zip(asked, said, strict=True)]

@@ -6,7 +6,7 @@ the key and the expected type; nothing in a file can run code.
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
 from types import NoneType, UnionType
@@ -28,23 +28,12 @@ def config_to_json(config: MethodConfig) -> str:
 
 def config_from_json(text: str) -> MethodConfig:
     """Inverse of ``config_to_json``. Raises ConfigError, also where the text is no JSON."""
-    try:
-        values = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise ConfigError(f"not valid JSON ({error}).") from error
-    return config_from_values(values)
+    return config_from_values(_parsed(text))
 
 
 def read_config(path: Path) -> MethodConfig:
     """Read a file that holds ``config_to_json``. Raises ConfigError, which names the file."""
-    try:
-        return config_from_json(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigError(f"{path} cannot be read: {error.strerror}.") from error
-    except UnicodeDecodeError as error:
-        raise ConfigError(f"{path}: not valid JSON ({error}).") from error
-    except ConfigError as error:
-        raise type(error)(f"{path}: {error}") from error
+    return _from_file(path, config_from_json)
 
 
 def with_file(config: MethodConfig, path: Path) -> MethodConfig:
@@ -55,40 +44,52 @@ def with_file(config: MethodConfig, path: Path) -> MethodConfig:
     from a file, nor, from the whole of a run's config.json, which views of its scene were left out. Raises ConfigError,
     which names the file.
     """
+    return _from_file(path, lambda text: _with_values(config, _parsed(text)))
+
+
+def _from_file(path: Path, make: Callable[[str], MethodConfig]) -> MethodConfig:
     try:
-        said = json.loads(path.read_text(encoding="utf-8"))
-        if not isinstance(said, dict):
-            raise ConfigError(f"a configuration must be a JSON object, not {_kind(said)}.")
-        if said.get("method", config.method) != config.method:
-            raise ConfigError(f"it is of the method {said['method']!r}, not of {config.method!r}.")
-        of_its_run = ("output", "repair", *(("skip_views",) if "version" in said else ()))
-        own = {key: value for key, value in said.items() if key not in of_its_run}
-        return config_from_values(_merged(config_to_values(config), own))
+        return make(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise ConfigError(f"{path} cannot be read: {error.strerror}.") from error
-    except (ValueError, RecursionError) as error:
+    except UnicodeDecodeError as error:
         raise ConfigError(f"{path}: not valid JSON ({error}).") from error
     except ConfigError as error:
         raise type(error)(f"{path}: {error}") from error
 
 
+def _parsed(text: str) -> object:
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise ConfigError(f"not valid JSON ({error}).") from error
+
+
+def _with_values(config: MethodConfig, said: object) -> MethodConfig:
+    if not isinstance(said, dict):
+        raise ConfigError(f"a configuration must be a JSON object, not {_kind(said)}.")
+    if said.get("method", config.method) != config.method:
+        raise ConfigError(f"it is of the method {said['method']!r}, not of {config.method!r}.")
+    of_its_run = ("output", "repair", *(("skip_views",) if "version" in said else ()))
+    own = {key: value for key, value in said.items() if key not in of_its_run}
+    return config_from_values(_merged(config_to_values(config), own))
+
+
 def _merged(base: Any, said: Any) -> Any:
     if isinstance(base, dict) and isinstance(said, dict):
-        if "type" in said and _spelled(said["type"]) != _spelled(base.get("type")):
+        if "type" in said and registry.spelled(str(said["type"]), [str(base.get("type"))]) is None:
             return said
         return base | {key: _merged(base.get(key), value) for key, value in said.items()}
     if isinstance(base, list) and isinstance(said, list):
-        there = {_spelled(each["type"]): each for each in base if isinstance(each, dict) and "type" in each}
-        return [
-            _merged(there.get(_spelled(each["type"])), each) if isinstance(each, dict) and "type" in each else each
-            for each in said
-        ]
+        there = {each["type"]: each for each in base if isinstance(each, dict) and "type" in each}
+        return [_merged(_of_type(each, there), each) for each in said]
     return said
 
 
-def _spelled(name: object) -> str:
-    """Underscores are dashes in a component's name; what is no name is left to decoding."""
-    return str(name).replace("_", "-")
+def _of_type(said: Any, there: Mapping[str, Any]) -> Any:
+    """The component that has the type of what is said; None where there is none."""
+    name = said.get("type") if isinstance(said, dict) else None
+    return there.get(registry.spelled(str(name), there) or "")
 
 
 def config_to_values(config: MethodConfig) -> dict[str, Any]:

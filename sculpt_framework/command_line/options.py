@@ -53,8 +53,7 @@ def apply_words(config: MethodConfig, words: Sequence[str], program: str, descri
     config, words = swap_components(config, words)
     shown = None
     if HELP_ALL in words:
-        words = [*words, HELP[-1]]
-        words.remove(HELP_ALL)
+        words = [HELP[-1] if word == HELP_ALL else word for word in words]
     elif any(word in HELP for word in words):
         shown = (*USUAL_SLOTS, *chosen)
         left = len(flags(config)) - len(_usual_flags(config, shown))
@@ -124,12 +123,8 @@ def flags(config: MethodConfig) -> tuple[str, ...]:
 
 def _usual_flags(config: MethodConfig, shown: Sequence[str]) -> list[str]:
     """Those of ``flags`` that the help shows where components of these slots alone show theirs."""
-    out = []
-    for flag in flags(config):
-        part, dot, _ = flag.partition(".")
-        if part in shown if dot else part.replace("-", "_") not in RARE:
-            out.append(flag)
-    return out
+    parts = ((flag, *flag.partition(".")[:2]) for flag in flags(config))
+    return [flag for flag, part, dot in parts if (part in shown if dot else part.replace("-", "_") not in RARE)]
 
 
 def _general(config: MethodConfig) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""HEIC, the format of iPhones: read with pillow-heif, which the extra ``heic`` brings."""
+"""HEIC, the format of iPhones: read with pillow-heif, which the extra ``heic`` brings; and files that others read."""
 
 from io import BytesIO
 from pathlib import Path

@@ -215,9 +215,9 @@ def _placed(found: Photographs, scene: Path) -> Photographs:
             _place(found.root / name, scene / "images" / name)
         masks.append(None if mask is None else _place(mask, scene / "masks" / f"{names[-1]}{mask.suffix}"))
     kinds = ", ".join(sorted({Path(name).suffix.lower()[1:] for name in foreign}))
-    notes = (
-        (*found.notes, f"{len(foreign)} photographs ({kinds}) are written as JPEG or PNG.") if foreign else found.notes
-    )
+    notes = found.notes
+    if foreign:
+        notes = (*notes, f"{len(foreign)} photographs ({kinds}) are written as JPEG or PNG.")
     return Photographs(root=scene / "images", names=tuple(names), masks=tuple(masks), notes=notes)
 
 

@@ -10,7 +10,7 @@ from sculpt_framework.posed_images.contact_sheet import with_box
 from sculpt_framework.types import Box, Scene
 from sculpt_framework.viewing.layers import show_cameras
 from sculpt_framework.viewing.movable_box import MovableBox
-from sculpt_framework.viewing.server import start_server, stop_server
+from sculpt_framework.viewing.server import look_from_aside, start_server, stop_server
 
 _PICTURES = 6
 _PICTURE_PIXELS = 420
@@ -47,8 +47,8 @@ class BoxPage:
             frustum.on_click(lambda _, index=index: self._choose(index))
         self._view.on_update(lambda _: self._choose(int(self._view.value)))
         self._box = MovableBox(self.server.scene, sides, low, high, self._moved.set)
-        self._look_at(low, high)
-        self._draw()
+        look_from_aside(self.server, low, high, away=3.0)
+        self._words.content = f"`{self.words}`"
 
     @property
     def port(self) -> int:
@@ -92,9 +92,3 @@ class BoxPage:
 
     def _drawn(self, view: int, box: Box) -> np.ndarray:
         return with_box(self._scene.train[view], box, _PICTURE_PIXELS)
-
-    def _look_at(self, low: np.ndarray, high: np.ndarray) -> None:
-        center, reach = 0.5 * (low + high), float(np.linalg.norm(high - low))
-        initial = self.server.initial_camera
-        initial.look_at, initial.position = center, center + 1.5 * reach * np.array([0.7, -0.6, 0.4])
-        initial.near, initial.far = 0.01 * reach, 100.0 * reach

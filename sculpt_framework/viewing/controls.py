@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 
-import numpy as np
 import viser
 
 from sculpt_framework.commands import (
@@ -21,11 +20,11 @@ from sculpt_framework.config import MethodConfig
 from sculpt_framework.registry import name_of
 from sculpt_framework.sculpting.config import SculptingConfig
 from sculpt_framework.viewing.movable_box import MovableBox
+from sculpt_framework.viewing.server import TOWARDS_CAMERA
 from sculpt_framework.viewing.stage import Stage
 
 _FIRST_SHARE = 0.3
 """Side of a box that has just been placed, of the object's."""
-_TOWARDS_CAMERA = np.array([0.7, -0.6, 0.4])
 _KINDS = (("Refine here", "refine"), ("Freeze here", "freeze"), ("Ignore here", "ignore"))
 
 
@@ -103,7 +102,7 @@ class Controls:
         low, high = box
         side = _FIRST_SHARE * float((high - low).max())
         # Out of the middle, towards where a page looks from: there it is seen.
-        place = 0.5 * (low + high) + 0.3 * (high - low) * _TOWARDS_CAMERA
+        place = 0.5 * (low + high) + 0.3 * (high - low) * TOWARDS_CAMERA
         self._box = MovableBox(self._server.scene, self._size, place - 0.5 * side, place + 0.5 * side)
         self._size.visible = True
         for button in self._actions:

@@ -10,7 +10,7 @@ from sculpt_framework.viewing.colors import COLORS, paint
 from sculpt_framework.viewing.frames import Frame, read_frame, step_files
 from sculpt_framework.viewing.layers import show_mesh, show_splats
 from sculpt_framework.viewing.run_folder import RunFolder
-from sculpt_framework.viewing.server import start_server, stop_server
+from sculpt_framework.viewing.server import look_from_aside, start_server, stop_server
 
 _SECONDS_PER_STEP = 0.4
 _LAST_SECONDS = 3.0
@@ -42,11 +42,7 @@ def _play(frames: list[Frame]) -> str:
     try:
         scene = server.scene
         scene.set_up_direction("+z")
-        low, high = last.vertices.min(axis=0), last.vertices.max(axis=0)
-        center, radius = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
-        server.initial_camera.look_at = center
-        server.initial_camera.position = center + 2.4 * radius * np.array([0.7, -0.6, 0.4])
-        server.initial_camera.near, server.initial_camera.far = 0.01 * radius, 100.0 * radius
+        look_from_aside(server, last.vertices.min(axis=0), last.vertices.max(axis=0))
         recording = server.get_scene_serializer()
         shown = None
         for index, frame in enumerate(frames):

@@ -5,12 +5,15 @@ import contextlib
 import io
 from urllib.parse import urlsplit
 
+import numpy as np
 import viser
 import viser._messages as messages
 from viser.infra import WebsockClientConnection
 
 from sculpt_framework.viewing.address import is_loopback
 
+TOWARDS_CAMERA = np.array([0.7, -0.6, 0.4])
+"""From the middle of things to where a page looks from at first."""
 _POLICY_VIOLATION = 1008
 """WebSocket close code (RFC 6455)."""
 
@@ -38,6 +41,19 @@ def start_server(host: str, port: int) -> viser.ViserServer:
             await asyncio.sleep(0)
 
     return server
+
+
+def look_from_aside(server: viser.ViserServer, low: np.ndarray, high: np.ndarray, away: float = 2.4) -> np.ndarray:
+    """Let a page that opens see what lies between two corners, from above and aside, so many of its radii ``away``.
+
+    Returns the place that it looks from.
+    """
+    center, radius = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
+    position = center + away * radius * TOWARDS_CAMERA
+    initial = server.initial_camera
+    initial.look_at, initial.position = center, position
+    initial.near, initial.far = 0.01 * radius, 100.0 * radius
+    return position
 
 
 def stop_server(server: viser.ViserServer) -> None:

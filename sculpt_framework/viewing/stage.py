@@ -16,6 +16,7 @@ from sculpt_framework.viewing.colors import COLORS, MODES, paint
 from sculpt_framework.viewing.frames import Frame, read_frame, step_files
 from sculpt_framework.viewing.layers import show_box, show_cells, show_mesh, show_splats, show_wireframe
 from sculpt_framework.viewing.run_folder import RunFolder
+from sculpt_framework.viewing.server import look_from_aside
 
 _log = logging.getLogger("sculpt")
 SPLATS_AT_MOST = {"100 thousand": 100_000, "300 thousand": 300_000, "1 million": 1_000_000, "all": 1 << 60}
@@ -209,13 +210,9 @@ class Stage:
 
     def _look_at(self, lowest: np.ndarray, highest: np.ndarray) -> None:
         """Let a page that opens, and those that are open, see the whole object, from above and aside."""
-        center, radius = 0.5 * (lowest + highest), 0.5 * float(np.linalg.norm(highest - lowest))
-        position = center + 2.4 * radius * np.array([0.7, -0.6, 0.4])
-        initial = self._server.initial_camera
-        initial.look_at, initial.position = center, position
-        initial.near, initial.far = 0.01 * radius, 100.0 * radius
+        position = look_from_aside(self._server, lowest, highest)
         for client in self._server.get_clients().values():
-            client.camera.position, client.camera.look_at = position, center
+            client.camera.position, client.camera.look_at = position, 0.5 * (lowest + highest)
 
 
 def _words(frame: Frame, on: dict[str, bool]) -> str:

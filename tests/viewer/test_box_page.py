@@ -2,7 +2,6 @@
 
 import re
 import threading
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +15,8 @@ from sculpt_framework.testing.viewer_client import announce, connected, find_con
 from sculpt_framework.types import Box
 from sculpt_framework.viewing.box_page import BoxPage
 from sculpt_plugins.datasets.blender.config import BlenderConfig
+
+from .training import eventually
 
 FAR = (4.5e5, -2e5, 0.0)
 
@@ -58,13 +59,6 @@ def test_sides_typed_in_are_the_box_that_is_returned(page: BoxPage):
 
 def sides_of(page: BoxPage) -> list[float]:
     return (page.box.maximum - page.box.minimum).tolist()
-
-
-def eventually(condition: Callable[[], bool], seconds: float = 30.0) -> None:
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
 
 
 def find_on(address: str, kind: str, label: str) -> str:

@@ -14,8 +14,8 @@ from sculpt_plugins.observers.recorder.config import RecorderConfig
 
 EVENTS_VERSION = 1
 METRICS_SCHEMA = 1
-_NOT_MEASURES = ("reason", "progress")
-"""What evaluations say about themselves, beside the columns."""
+_NOT_MEASURES = ("reason", "progress", "t_train_s", "t_wall_s")
+"""What evaluations say about themselves, beside the columns; the run's end is later than its last one."""
 
 
 class RecorderObserver(Observer):
@@ -111,8 +111,6 @@ def metrics_of(facts: Mapping[str, Any], event: Event) -> Mapping[str, Any]:
     """The content of metrics.json. ``facts`` is what the start and the end of the run said about it."""
     final = {**dict.fromkeys(CURVE_COLUMNS), "t_train_s": event.t_train, "t_wall_s": event.t_wall, "outer": event.outer}
     final |= {name: value for name, value in (facts.get("final") or {}).items() if name not in _NOT_MEASURES}
-    # Those of the end: what is measured last takes time, too.
-    final |= {"t_train_s": event.t_train, "t_wall_s": event.t_wall}
     return {
         "schema": METRICS_SCHEMA,
         "status": facts.get("status"),

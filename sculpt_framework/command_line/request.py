@@ -41,7 +41,9 @@ def parse(words: Sequence[str]) -> MethodConfig:
 
 
 def read_request(words: Sequence[str]) -> TrainRequest:
-    """The run a command line asks for. Reads files for ``--resume`` and ``--config`` alone. Raises and exits as ``parse``."""
+    """The run a command line asks for. Reads files for ``--resume`` and ``--config`` alone. Raises and exits as
+    ``parse``.
+    """
     expected = "a run directory, as in --resume outputs/SCENE/METHOD/TIME"
     resume, words = _take("--resume", expected, words)
     if resume is None and words and words[0] in ("-h", "--help"):

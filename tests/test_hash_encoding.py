@@ -1,9 +1,16 @@
 """The hash grid's kernels against the torch twin, and the twin against finite differences."""
 
+import os
+
 import pytest
 import torch
 
 from sculpt_framework.encodings.hash_grid import HashEncoding, corner_entries, encode_in_torch
+
+# Where there is no GPU, Triton's kernels run in its interpreter, which has to be said before triton is imported.
+if not torch.cuda.is_available():
+    os.environ.setdefault("TRITON_INTERPRET", "1")
+ACCELERATOR = torch.device("cuda" if torch.cuda.is_available() else "cpu")
 
 
 def _encoding(
@@ -75,6 +82,45 @@ def test_compiled_is_the_twin(features: int, log2_table: int, sum_levels: bool):
     torch.testing.assert_close(points.grad[:-1].double(), twin_points.grad[:-1], rtol=1e-4, atol=1e-3)
     for table, twin in zip(encoding.tables, twin_tables, strict=True):
         torch.testing.assert_close(table.grad.double(), twin.grad, rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize("features", [1, 3, 4])
+@pytest.mark.parametrize("log2_table", [10, 16])
+@pytest.mark.parametrize("sum_levels", [False, True])
+def test_the_kernels_for_cuda_are_the_twin(features: int, log2_table: int, sum_levels: bool):
+    pytest.importorskip("triton", reason="triton is not installed; it comes with the extra 'dev' on Linux")
+    from sculpt_framework.encodings.hash_grid_triton import TritonEncoding
+
+    encoding = _encoding(features=features, log2_table=log2_table, sum_levels=sum_levels).to(ACCELERATOR)
+    some = torch.cat([_points(140), torch.full((1, 3), float("nan"))]).to(ACCELERATOR)
+    points = some.clone().requires_grad_(True)
+    encoded = TritonEncoding.apply(points, encoding.resolutions, sum_levels, *encoding.tables)
+    assert encoded[-1].isnan().all()
+    # The twin would have the point that is none teach, too, however little it is asked.
+    twin_points = points.detach()[:-1].double().requires_grad_(True)
+    twin_tables = [table.detach().double().requires_grad_(True) for table in encoding.tables]
+    expected = encode_in_torch(twin_points, twin_tables, encoding.resolutions, sum_levels)
+    torch.testing.assert_close(encoded[:-1].double(), expected, rtol=0.0, atol=2e-5)
+    weights = torch.randn(encoded.shape, generator=torch.Generator().manual_seed(2))
+    weights[::3] = 0.0
+    weights = weights.to(ACCELERATOR)
+    (encoded[:-1] * weights[:-1]).sum().backward()
+    (expected * weights[:-1].double()).sum().backward()
+    # The last of the others is at infinity, where the twin has no gradient.
+    torch.testing.assert_close(points.grad[:-2].double(), twin_points.grad[:-1], rtol=1e-4, atol=1e-3)
+    for table, twin in zip(encoding.tables, twin_tables, strict=True):
+        torch.testing.assert_close(table.grad.double(), twin.grad, rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.gpu
+def test_cuda_takes_them():
+    device = torch.device("cuda")
+    encoding, points = _encoding(), _points()
+    expected = encoding(points)
+    encoding = encoding.to(device)
+    encoded = encoding(points.to(device))
+    assert type(encoded.grad_fn).__name__ == "TritonEncodingBackward"
+    torch.testing.assert_close(encoded.cpu(), expected, rtol=0.0, atol=2e-5)
 
 
 def test_twin_by_finite_differences():

@@ -5,7 +5,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -13,9 +13,11 @@ from sculpt_framework import registry
 from sculpt_framework.cli.bench_splats import bumpy_sphere, bumpy_sphere_camera
 from sculpt_framework.command_line.options import Flag
 from sculpt_framework.config import RasterizerConfig
+from sculpt_framework.device import pick_device
 from sculpt_framework.errors import ConfigError
 
 if TYPE_CHECKING:
+    import torch
     from torch import Tensor
 
     from sculpt_framework.binders import Binding
@@ -44,6 +46,8 @@ class StepRequest:
     """Timed steps, after three that are not."""
     threads: Annotated[int, tyro.conf.arg(metavar="N")] = 1
     """CPU threads."""
+    device: Literal["cpu", "cuda"] = "cpu"
+    """With cuda, the parts are the host's time in them, and the kernels' that of the device in all of them."""
     json: Flag = False
     """Print JSON."""
 
@@ -74,7 +78,7 @@ class StepRow:
     """With the backward kernels of rasteriser and encoding."""
     update_ms: float
     kernels_ms: float
-    """Of all these, what is inside the compiled functions of rasteriser, loss and encoding."""
+    """Of all these, what is inside the compiled functions of rasteriser, loss and encoding; on CUDA, in kernels."""
     outside_kernels: float
     """Share of the total that is not."""
 
@@ -108,9 +112,12 @@ def _measure(request: StepRequest, places: bool) -> StepRow:
     from sculpt_framework.rendering.photometric import l1_dssim
     from sculpt_framework.sculpting.gaussian_scene import assemble
 
-    scene, surface, rasterizer, constraints = _parts(request.faces)
-    camera, background = bumpy_sphere_camera(request.size, torch.device("cpu")), torch.zeros(3)
-    target = torch.rand(request.size, request.size, 3, generator=torch.Generator().manual_seed(0))
+    device = pick_device(request.device)
+    scene, surface, rasterizer, constraints = _parts(request.faces, device)
+    camera, background = bumpy_sphere_camera(request.size, device), torch.zeros(3, device=device)
+    target = torch.rand(request.size, request.size, 3, generator=torch.Generator().manual_seed(0)).to(device)
+    wait = torch.cuda.synchronize if device.type == "cuda" else lambda: None
+    activities = [ProfilerActivity.CPU, *([ProfilerActivity.CUDA] if device.type == "cuda" else [])]
     fixed = scene.bind(surface, learn=False)
 
     def step() -> None:
@@ -137,18 +144,20 @@ def _measure(request: StepRequest, places: bool) -> StepRow:
     for count in range(_IDLE + request.repeats):
         wall, cpu = time.perf_counter(), time.process_time()
         step()
+        wait()
         if count >= _IDLE:
             parts["total"].append(1e3 * (time.perf_counter() - wall))
             parts["cpu"].append(1e3 * (time.process_time() - cpu))
     for _ in range(request.repeats):
-        with profile(activities=[ProfilerActivity.CPU]) as profiled:
+        with profile(activities=activities) as profiled:
             step()
+            wait()
         averages = {event.key: event for event in profiled.key_averages()}
         for name in _PARTS:
             parts[name].append(1e-3 * averages[name].cpu_time_total if name in averages else 0.0)
-        parts["kernels"].append(
-            sum(1e-3 * event.self_cpu_time_total for key, event in averages.items() if key.startswith(_COMPILED))
-        )
+        compiled = (event.self_cpu_time_total for key, event in averages.items() if key.startswith(_COMPILED))
+        on_device = (event.self_device_time_total for key, event in averages.items() if key not in _PARTS)
+        parts["kernels"].append(1e-3 * sum(compiled if device.type == "cpu" else on_device))
     medians = {f"{name}_ms": round(statistics.median(values), 3) for name, values in parts.items()}
     return StepRow(
         step="places and colours" if places else "colours alone",
@@ -161,24 +170,23 @@ def _measure(request: StepRequest, places: bool) -> StepRow:
 
 
 def _parts(
-    faces: int,
+    faces: int, device: "torch.device"
 ) -> "tuple[GaussianScene, Surface, Rasterizer, list[tuple[float, Callable[[Binding], Tensor]]]]":
-    """The default method's binder, appearance and constraints on a bumpy sphere, and the CPU's rasteriser."""
+    """The default method's binder, appearance and constraints on a bumpy sphere, and the device's rasteriser."""
     import torch
 
     from sculpt_framework.sculpting.config import of_sculpting
     from sculpt_framework.sculpting.gaussian_scene import GaussianScene
     from sculpt_framework.types import Surface
 
-    device = torch.device("cpu")
     method = of_sculpting(registry.load_method("gaussian-sculpting")())
-    rasterizer = registry.default("rasterizer", "numba")
+    rasterizer = registry.default("rasterizer", "auto")
     assert isinstance(rasterizer, RasterizerConfig)  # noqa: S101 - what the registry promises for the slot
     points, triangles = bumpy_sphere(faces)
     surface = Surface(
-        vertices=torch.from_numpy(points).float(),
-        faces=torch.from_numpy(triangles).long(),
-        face_keys=torch.arange(len(triangles)),
+        vertices=torch.from_numpy(points).float().to(device),
+        faces=torch.from_numpy(triangles).long().to(device),
+        face_keys=torch.arange(len(triangles), device=device),
     )
     scene = GaussianScene(method.binder.build(), method.appearance.build(device))
     scene.follow(surface)

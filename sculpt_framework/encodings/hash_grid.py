@@ -2,7 +2,9 @@
 
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
+from importlib.util import find_spec
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import torch
 from jaxtyping import Float, Int64
@@ -10,9 +12,13 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
 from sculpt_framework.cpu_kernels import array_of, kernel_cache, share_threads
+from sculpt_framework.geometry.band import corner_offsets
 
 with kernel_cache("hash-grid", Path(__file__).with_name("hash_grid_kernels.py")):
     from sculpt_framework.encodings import hash_grid_kernels
+
+if TYPE_CHECKING:
+    from sculpt_framework.encodings.hash_grid_triton import TritonEncoding
 
 PRIMES = (1, 2654435761, 805459861)
 """Factors of a corner's indices in the hash, of which the low bits count."""
@@ -65,14 +71,24 @@ class HashEncoding(nn.Module):
         if not 0 <= active <= len(self.resolutions):
             raise ValueError(f"{active} active levels of a hash grid that has {len(self.resolutions)}")
         tables, resolutions = list(self.tables)[:active], self.resolutions[:active]
-        if active and points.device.type == "cpu" and points.dtype == tables[0].dtype == torch.float32:
-            encoded = _CompiledEncoding.apply(points, resolutions, self.sum_levels, *tables)
+        kernels = _kernels(points.device) if active and points.dtype == tables[0].dtype == torch.float32 else None
+        if kernels is not None:
+            encoded = kernels.apply(points, resolutions, self.sum_levels, *tables)
         else:
             encoded = encode_in_torch(points, tables, resolutions, self.sum_levels)
         if self.sum_levels:
             return encoded
         idle = (len(self.resolutions) - active) * self.features_per_level
         return torch.cat([encoded, encoded.new_zeros(points.shape[0], idle)], dim=1) if idle else encoded
+
+
+def _kernels(device: torch.device) -> "type[_CompiledEncoding | TritonEncoding] | None":
+    """What is compiled for a device. Triton comes with torch for CUDA on Linux; elsewhere torch does it."""
+    if device.type == "cuda" and find_spec("triton") is not None:
+        from sculpt_framework.encodings.hash_grid_triton import TritonEncoding
+
+        return TritonEncoding
+    return _CompiledEncoding if device.type == "cpu" else None
 
 
 class _CompiledEncoding(torch.autograd.Function):
@@ -153,8 +169,7 @@ def _level(position: Float[Tensor, "n 3"], table: Float[Tensor, "e c"], resoluti
     upper = position - cell
     lower = 1.0 - upper
     total = position.new_zeros(position.shape[0], table.shape[1])
-    for corner in range(8):
-        bits = torch.tensor([corner & 1, corner >> 1 & 1, corner >> 2], device=position.device)
+    for bits in corner_offsets(position.device):
         weight = torch.where(bits == 1, upper, lower).prod(dim=1, keepdim=True)
         total = total + weight * table[corner_entries(cell + bits, resolution, table.shape[0])]
     return total

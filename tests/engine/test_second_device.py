@@ -1,6 +1,8 @@
 """What CUDA will be asked for: training away from the CPU, none of whose kernels takes part."""
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,11 +13,21 @@ from second_device import DEVICE, Away, second_device
 from small_runs import ONE_STAGE, small_config, train
 from torch import Tensor
 
-from sculpt_framework.config import RasterizerConfig
+import sculpt_framework as sculpt
+from sculpt_framework import device, registry
+from sculpt_framework.config import MethodConfig, RasterizerConfig
+from sculpt_framework.free_gaussians.config import FreeGaussiansConfig
 from sculpt_framework.posed_images import training_images
 from sculpt_framework.rasterizers import Rasterizer, RasterOutput
 from sculpt_framework.sculpting import assembly
+from sculpt_framework.sculpting.config import of_sculpting
 from sculpt_framework.types import Camera, Scene
+from sculpt_framework.volume_rendering import reconstructor as volume_reconstructor
+from sculpt_framework.volume_rendering.config import VolumeConfig
+from sculpt_plugins.initializers.stereo.config import StereoConfig
+from sculpt_plugins.losses.bending.config import BendingConfig
+from sculpt_plugins.losses.consistency import loss as consistency
+from sculpt_plugins.rasterizers.numba.config import NumbaRasterizerConfig
 from sculpt_plugins.rasterizers.reference.config import ReferenceRasterizerConfig
 from sculpt_plugins.rasterizers.triton.config import TritonRasterizerConfig
 
@@ -73,6 +85,18 @@ def test_tensors_of_two_devices_do_not_mix():
         assert not isinstance(there.cpu(), Away)
 
 
+@contextmanager
+def everything_away(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Whatever asks for a device gets the second one."""
+    for module in (assembly, device, volume_reconstructor):
+        monkeypatch.setattr(module, "pick_device", lambda wanted: DEVICE)
+    # What makes tensors there is known to the thread that asked for it.
+    for module in (training_images, consistency):
+        monkeypatch.setattr(module, "in_threads", lambda work, items: [work(item) for item in items])
+    with second_device():
+        yield
+
+
 @pytest.mark.parametrize(
     "drawing",
     [
@@ -86,11 +110,48 @@ def test_training_is_the_same_on_another_device(
     stages = (replace(ONE_STAGE[0], image_scale=0.5, inner_steps=1),)
     config = small_config(steps=2, stages=stages, polish_steps=1, holdout_every=0)
     here = train(config, scene).result
-    monkeypatch.setattr(assembly, "pick_device", lambda wanted: DEVICE)
-    # What makes tensors there is known to the thread that asked for it.
-    monkeypatch.setattr(training_images, "in_threads", lambda work, items: [work(item) for item in items])
-    with second_device():
+    with everything_away(monkeypatch):
         there = train(replace(config, rasterizer=AcrossConfig(drawing=drawing)), scene).result
     np.testing.assert_array_equal(there.faces, here.faces)
     np.testing.assert_allclose(there.vertices, here.vertices, rtol=0, atol=1e-4)
     np.testing.assert_allclose(there.colors, here.colors, rtol=0, atol=1e-2)
+
+
+def test_every_term_and_decision_of_the_default_works_on_another_device(scene: Scene, monkeypatch: pytest.MonkeyPatch):
+    default = of_sculpting(registry.load_method("gaussian-sculpting")())
+    stages = (replace(ONE_STAGE[0], image_scale=0.5, inner_steps=1),)
+    config = small_config(
+        steps=3, stages=stages, polish_steps=1, warm_up_steps=1, losses=(*default.losses, BendingConfig()),
+        plan=default.plan, initializer=StereoConfig(),
+    )  # fmt: skip
+    with everything_away(monkeypatch):
+        outcome = train(replace(config, rasterizer=AcrossConfig(drawing=NumbaRasterizerConfig())), scene)
+    assert len(outcome.losses) == 3
+    assert np.isfinite(outcome.result.vertices).all()
+
+
+@pytest.mark.parametrize("name", ["nerf", "neus", "volsdf"])
+def test_volumes_are_rendered_on_another_device(name: str, scene: Scene, monkeypatch: pytest.MonkeyPatch):
+    config = sculpt.methods[name]()
+    assert isinstance(config, VolumeConfig)
+    radiance = replace(config.radiance, num_levels=2, log2_table=10, finest_resolution=16, hidden_units=16)
+    small = replace(config, steps=3, rays=64, steps_across=24, cells=12, mesh_cells=16, radiance=radiance)
+    with everything_away(monkeypatch):
+        assert_lives(small, scene)
+
+
+@pytest.mark.parametrize("name", ["splatting-3d", "pgsr"])
+def test_free_gaussians_live_on_another_device(name: str, scene: Scene, monkeypatch: pytest.MonkeyPatch):
+    config = sculpt.methods[name]()
+    assert isinstance(config, FreeGaussiansConfig)
+    across = AcrossConfig(drawing=NumbaRasterizerConfig())
+    small = replace(config, steps=12, gaussians=300, mesh_cells=16, density=replace(config.density, every=5))
+    with everything_away(monkeypatch):
+        assert_lives(replace(small, rasterizer=across), scene)
+
+
+def assert_lives(config: MethodConfig, scene: Scene) -> None:
+    session = sculpt.Session(scene, config)
+    mesh = session.run()
+    assert np.isfinite(mesh.vertices).all()
+    assert torch.isfinite(session.render(scene.train[0].camera).rgb.cpu()).all()

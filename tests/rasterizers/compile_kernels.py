@@ -12,10 +12,12 @@ import triton
 from triton.backends.compiler import GPUTarget
 from triton.compiler import ASTSource
 
+from sculpt_framework.encodings import hash_grid_triton
 from sculpt_plugins.rasterizers.triton import compositing, layout, projection, tiles
 
 TYPES = {
     **dict.fromkeys(("count", "width", "height", "columns", "background_step"), "i32"),
+    **dict.fromkeys(("resolution", "entries", "column"), "i32"),
     **dict.fromkeys(("fx", "fy", "cx", "cy", "low_x", "high_x", "low_y", "high_y", "low_pass", "alpha_max"), "fp32"),
     **dict.fromkeys(("counts", "gaussians", "first_entries", "sources", "starts", "stops"), "*i32"),
     **dict.fromkeys(("order", "ends"), "*i64"),
@@ -57,6 +59,10 @@ def main(capability: int, channels: int) -> None:
         facts[f"project_backward {flag}"] = compiled(
             projection.project_backward, capability, 4, CHANNELS=channels, SUMS=sums, WANTS_POSE=flag
         )
+    for dense in (False, True):
+        sizes = {"FEATURES": 4, "PADDED": 4, "DENSE": dense, "POINTS": 128}
+        for name in ("_encode", "_differentiate_table", "_differentiate_points"):
+            facts[f"{name} {dense}"] = compiled(getattr(hash_grid_triton, name), capability, 4, **sizes)
     sys.stdout.write(json.dumps(facts) + "\n")
 
 

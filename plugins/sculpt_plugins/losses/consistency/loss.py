@@ -94,6 +94,5 @@ def _photograph(image: TrainingImage) -> Photograph:
     usable = cv2.erode(
         (inside > 0.99).astype(np.uint8), np.ones((5, 5), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=0
     )
-    return Photograph(
-        camera=image.camera, luminance=(rgb @ LUMINANCE).astype(np.float32), usable=np.asarray(usable) > 0
-    )
+    camera = image.camera.to(torch.device("cpu"), image.camera.world_to_camera.dtype)
+    return Photograph(camera=camera, luminance=(rgb @ LUMINANCE).astype(np.float32), usable=np.asarray(usable) > 0)

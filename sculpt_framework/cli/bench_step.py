@@ -152,12 +152,16 @@ def _measure(request: StepRequest, places: bool) -> StepRow:
         with profile(activities=activities) as profiled:
             step()
             wait()
-        averages = {event.key: event for event in profiled.key_averages()}
+        # An annotation is told twice where there is a GPU: of the host, and of the device.
+        events = profiled.key_averages()
         for name in _PARTS:
-            parts[name].append(1e-3 * averages[name].cpu_time_total if name in averages else 0.0)
-        compiled = (event.self_cpu_time_total for key, event in averages.items() if key.startswith(_COMPILED))
-        on_device = (event.self_device_time_total for key, event in averages.items() if key not in _PARTS)
-        parts["kernels"].append(1e-3 * sum(compiled if device.type == "cpu" else on_device))
+            parts[name].append(1e-3 * sum(event.cpu_time_total for event in events if event.key == name))
+        if device.type == "cpu":
+            kernels = [event.self_cpu_time_total for event in events if event.key.startswith(_COMPILED)]
+        else:
+            there = [event for event in events if event.device_type.name == "CUDA" and event.key not in _PARTS]
+            kernels = [event.self_device_time_total for event in there]
+        parts["kernels"].append(1e-3 * sum(kernels))
     medians = {f"{name}_ms": round(statistics.median(values), 3) for name, values in parts.items()}
     return StepRow(
         step="places and colours" if places else "colours alone",

@@ -5,8 +5,9 @@ from jaxtyping import Bool, Float, Int64
 
 from sculpt_framework.geometry.topology import components
 
-_SPECK_SHARE = 0.01
-"""A piece with less than this share of the largest piece's area is a speck."""
+_SPECK_AREA, _SPECK_SIZE = 0.01, 0.05
+"""A piece with less than this share of the largest piece's area is a speck, unless it is as long as that share of it: a
+rod, whose joint was thinner than the cells, is not."""
 
 
 def main_faces(vertices: Float[np.ndarray, "v 3"], faces: Int64[np.ndarray, "f 3"]) -> Bool[np.ndarray, " f"]:
@@ -24,7 +25,12 @@ def main_faces(vertices: Float[np.ndarray, "v 3"], faces: Int64[np.ndarray, "f 3
     area = np.bincount(piece, 0.5 * np.linalg.norm(cross, axis=1), minlength=count)
     middle = corners.reshape(-1, 3).mean(axis=0)
     volume = np.bincount(piece, np.einsum("fx,fx->f", corners[:, 0] - middle, cross), minlength=count)
-    keep = (area >= _SPECK_SHARE * area.max()) & (volume > 0)
+    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+    np.minimum.at(low, piece, corners.min(axis=1))
+    np.maximum.at(high, piece, corners.max(axis=1))
+    size = np.linalg.norm(high - low, axis=1)
+    large = (area >= _SPECK_AREA * area.max()) | (size >= _SPECK_SIZE * size[area.argmax()])
+    keep = large & (volume > 0)
     keep[area.argmax()] = True
     return keep[piece]
 

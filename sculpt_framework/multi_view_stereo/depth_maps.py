@@ -17,14 +17,13 @@ from jaxtyping import Bool, Float32, Int64
 
 from sculpt_framework.cpu_kernels import kernel_cache
 from sculpt_framework.multi_view_stereo.stereo_views import StereoViews, stereo_views
+from sculpt_framework.shape_from_images.missing import ray_kernels
 from sculpt_framework.shape_from_images.volume import Volume
 from sculpt_framework.threads import in_threads
 from sculpt_framework.types import View
 
 with kernel_cache("stereo", Path(__file__).with_name("patch_match_kernels.py")):
     from sculpt_framework.multi_view_stereo import patch_match_kernels as kernels
-with kernel_cache("rays", Path(__file__).with_name("ray_kernels.py")):
-    from sculpt_framework.multi_view_stereo import ray_kernels
 
 _COARSEST = 64
 """Pixels across the object in the coarsest images, at most."""

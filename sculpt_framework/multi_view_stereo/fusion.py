@@ -16,13 +16,11 @@ from scipy import ndimage
 
 from sculpt_framework.cpu_kernels import kernel_cache, share_threads
 from sculpt_framework.multi_view_stereo.depth_maps import DepthMaps
-from sculpt_framework.multi_view_stereo.stereo_views import StereoViews
+from sculpt_framework.shape_from_images.missing import missing
 from sculpt_framework.shape_from_images.volume import Volume, signed_distance
 
 with kernel_cache("fusion", Path(__file__).with_name("fusion_kernels.py")):
     from sculpt_framework.multi_view_stereo import fusion_kernels as kernels
-with kernel_cache("rays", Path(__file__).with_name("ray_kernels.py")):
-    from sculpt_framework.multi_view_stereo import ray_kernels
 
 _FRONT, _BACK = 3.0, 2.0
 """Cells in front of and behind what a view sees in which it tells a distance. Behind less than in front: thin parts are
@@ -40,8 +38,6 @@ those it lies in, for it to be inside of something."""
 _SOFT_SLOPE, _SOFT_ERROR = 1.0, 0.1
 """Differences between cells, and to what is wanted, that count by their squares; beyond, linearly. In units of
 ``_FRONT``: the slope of a distance is a third."""
-_ASKING, _BESIDE = 2, 4
-"""Views whose rays must ask for a cell for it to be filled, and pixels from a mask's border within which none asks."""
 _STEPS = 100
 _CRUMB = 1e-3
 """Pieces smaller than this share of the largest are mistakes."""
@@ -58,10 +54,13 @@ def fuse(solid: Volume, maps: DepthMaps) -> Volume:
     # What no ray of a mask passes is outside; a little around it, for differences.
     wanted, weights, _ = _told(solid, solid.values < unit, maps, before, np.float32(_PRIOR))
     values = _smoothed(wanted, weights, least)
-    asked = _asked_by_rays(values, solid, maps.views)
+    views, depths, back = maps.views, maps.depths, _BACK * solid.cell
+    asked = missing(values < 0, solid, views, depths, back)
     if asked.any():
         filled = np.where(asked, _LOWEST, wanted), np.where(asked, np.float32(1), weights)
         values = np.minimum(values, _smoothed(*filled, least))
+        # Smoothing takes away what is thinner than two cells, whatever it weighs. The hull bounds it well.
+        values = np.where(missing(values < 0, solid, views, depths, back), _LOWEST, values)
     inside = _whole(values < 0)
     return solid.holding(signed_distance(inside, values * unit, solid.cell))
 
@@ -86,27 +85,6 @@ def fuse_without_outlines(space: Volume, maps: DepthMaps) -> tuple[Volume, Bool[
     least = np.where(asked, _LOWEST, np.float32(1))
     wanted, weights, known = _told(space, asked, maps, before, prior)
     return space.holding(_smoothed(wanted, weights, least)), known
-
-
-def _asked_by_rays(
-    values: Float32[np.ndarray, "x y z"], solid: Volume, views: StereoViews
-) -> Bool[np.ndarray, "x y z"]:
-    """Where rays of several masks would meet nothing: on each the cell that views speak least against.
-
-    A ray of a mask meets the object somewhere, also where it is too thin, or too plain, for depths to tell of it.
-    """
-    origin, full, allowed = np.array(solid.origin, np.float32), values < 0, solid.values < 0
-    counts = np.zeros(values.shape, np.uint16)
-    for view, inside in enumerate(views.inside):
-        # Rays beside the outline miss cells that are not quite filled.
-        wanted = np.asarray(ndimage.binary_erosion(inside, iterations=_BESIDE), dtype=bool)
-        asked = np.zeros(values.shape, bool)
-        ray_kernels.ask_rays(
-            wanted, views.poses[view], views.lenses[view], views.positions[view], allowed, full, values, origin,
-            np.float32(solid.cell), asked,
-        )  # fmt: skip
-        counts += asked
-    return counts >= _ASKING
 
 
 def _told(

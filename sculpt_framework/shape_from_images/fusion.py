@@ -10,6 +10,7 @@ from scipy import ndimage
 
 from sculpt_framework.cpu_kernels import kernel_cache, share_threads
 from sculpt_framework.shape_from_images.depth_maps import DepthMaps
+from sculpt_framework.shape_from_images.missing import missing
 from sculpt_framework.shape_from_images.packing import PackedViews
 from sculpt_framework.shape_from_images.volume import Volume, signed_distance
 
@@ -30,6 +31,8 @@ _STIFFNESS = 0.3
 _SWEEPS = 100
 _DOUBT = 5.0
 """Margins that are added to the margin where no view tells of a cell; where its value is sure, none are."""
+_THIN = 2.0
+"""Cells behind a place from which on a depth there says that it is seen through."""
 _NOISE = 0.02
 """Length of the colours' gradient, per pixel, that says as much of a place as sampling and noise do."""
 _WIDE = 1000
@@ -44,7 +47,7 @@ def carve(solid: Volume, views: PackedViews, maps: DepthMaps, margin: float) -> 
     ``solid`` is a signed distance. What depths show less than ``margin`` below its surface is left alone, as depths are
     no more exact than that; from twice as deep on they are believed as they are. What is left after all depths are
     believed decides which of them would have to see through it: those are not. Pits that few views or plain colours
-    tell of and bubbles inside are filled, crumbs outside removed.
+    tell of and bubbles inside are filled, and so is what masks show and nothing is left of; crumbs outside are removed.
     """
     hull = solid.values < 0
     sums = _Sums(*(np.zeros(hull.shape, kind) for kind in (np.float32, np.float32, np.float32, bool)))
@@ -55,7 +58,10 @@ def carve(solid: Volume, views: PackedViews, maps: DepthMaps, margin: float) -> 
     left = np.asarray(ndimage.binary_erosion(carved < 0), dtype=bool)
     _add_up(solid, sums.seen_through.copy(), left, views, maps, telling, sums)
     carved = _without_pits(solid, hull, sums, margin)
-    inside = _one_piece(carved < 0, hull, narrow=round(_grains(solid)))
+    narrow = round(_grains(solid))
+    open_parts = missing(carved < 0, solid, views, maps.depths, _THIN * narrow * solid.cell)
+    carved = np.where(open_parts, solid.values, carved)
+    inside = _one_piece(carved < 0, hull, narrow)
     return solid.holding(signed_distance(inside, carved, solid.cell))
 
 

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -9,10 +10,10 @@ from exact_views import DentedBall, ball, exact_maps, fan, photograph, truth_of
 
 from sculpt_framework.demo_scenes.cameras import demo_cameras
 from sculpt_framework.errors import DataError
-from sculpt_framework.multi_view_stereo import fusion
 from sculpt_framework.multi_view_stereo.depth_maps import DepthMaps, StereoOptions, find_depths
 from sculpt_framework.multi_view_stereo.fusion import _whole, fuse
 from sculpt_framework.multi_view_stereo.stereo_views import stereo_views
+from sculpt_framework.shape_from_images import missing
 from sculpt_framework.shape_from_images.hull import visual_hull
 from sculpt_framework.shape_from_images.volume import Volume, sample
 from sculpt_framework.types import View
@@ -77,8 +78,43 @@ def test_a_small_part_that_only_masks_tell_of_stays(monkeypatch: pytest.MonkeyPa
     maps = exact_maps(small, stereo_views(views, 80.0))
     maps = replace(maps, depths=np.zeros_like(maps.depths), confidence=np.zeros_like(maps.confidence))
     assert (fuse(solid, maps).values < 0).sum() > 0.5 * (solid.values < 0).sum()
-    monkeypatch.setattr(fusion, "_ASKING", len(views) + 1)
+    monkeypatch.setattr(missing, "_ASKING", len(views) + 1)
     assert (fuse(solid, maps).values < 0).sum() < 0.5 * (solid.values < 0).sum()
+
+
+def test_a_rod_that_only_masks_tell_of_is_kept_and_nothing_beside_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Thinner than a cell, over a ball whose depths are exact: smoothing takes it away, whatever it weighs."""
+    ends = np.array([[-0.9, 0.3, 0.8], [0.9, -0.3, 0.8]])
+
+    def with_rod(view: View) -> View:
+        assert view.alpha is not None
+        local, camera = view.camera.local(ends), view.camera
+        places = local[:, :2] / local[:, 2:] * [camera.fx, camera.fy] + [camera.cx - 0.5, camera.cy - 0.5]
+        (left, right), alpha = np.round(places).astype(int), view.alpha.numpy().copy()
+        cv2.line(alpha, left.tolist(), right.tolist(), 1.0, 3)
+        return replace(view, alpha=torch.from_numpy(alpha))
+
+    below = DentedBall(radius=0.5, dent=0.0)
+    views = [with_rod(photograph(below, camera, masked=True)) for camera in demo_cameras(24, 160)]
+    solid = sample(visual_hull(views, 100, CPU), (1.0, 1.0, 1.0), CELLS, CPU)
+    maps = exact_maps(below, stereo_views(views, 80.0))
+    along = np.linspace(ends[0], ends[1], 40)[2:-2]
+    start = np.array(solid.origin) + 0.5 * solid.cell
+
+    def values_at(volume: Volume, points: np.ndarray) -> np.ndarray:
+        return volume.values[tuple(np.floor((points - start) / solid.cell + 0.5).astype(int).T)]
+
+    shape = fuse(solid, maps)
+    assert (values_at(solid, along) < solid.cell).all()
+    assert np.mean(values_at(shape, along) < 0.5 * solid.cell) > 0.9
+    # Between the rod and the ball there is nothing, whatever the hull has there.
+    assert (values_at(shape, np.array([[0.0, 0.0, 0.65]])) > 0).all()
+    filled = (shape.values < 0).sum()
+    monkeypatch.setattr(missing, "_ASKING", len(views) + 1)
+    bare = fuse(solid, maps)
+    assert np.mean(values_at(bare, along) < 0.5 * solid.cell) < 0.2
+    # No more than the rod is filled: some 1.8 long, and a cell and a half thick.
+    assert 20 < filled - (bare.values < 0).sum() < 3 * 1.8 / solid.cell
 
 
 def nothing_known() -> DepthMaps:

@@ -1,4 +1,4 @@
-"""Rays of pixels through the cells of a volume: the loops, for the CPU."""
+"""Rays of pixels through the cells of a volume, and cells in pixels: the loops, for the CPU."""
 
 import numpy as np
 from numba import njit, prange
@@ -57,25 +57,23 @@ def bound_depths(inside, pose, lens, position, solid, origin, cell, nearest, far
 
 
 @njit(parallel=True, **_OPTIONS)
-def ask_rays(wanted, pose, lens, position, allowed, full, values, origin, cell, asked):
-    """Mark in ``asked`` [x, y, z], for each ``wanted`` pixel [h, w] of a view whose ray meets nothing ``full``, the
-    ``allowed`` cell along it with the smallest of ``values``."""
-    size = np.array(full.shape, np.float32) * cell
-    step = _HALF * cell
-    for row in prange(wanted.shape[0]):
-        way = np.empty(3, np.float32)
-        for column in range(wanted.shape[1]):
-            if not wanted[row, column]:
-                continue
-            first, last = _span(pose, lens, position, row, column, origin, size, way)
-            depth, least, met = first + _HALF * step, np.float32(np.inf), False
-            best = np.int32(-1), np.int32(-1), np.int32(-1)
-            while depth < last and not met:
-                i, j, k = _cell_at(position, way, depth, origin, cell)
-                if 0 <= i < full.shape[0] and 0 <= j < full.shape[1] and 0 <= k < full.shape[2]:
-                    met = full[i, j, k]
-                    if allowed[i, j, k] and values[i, j, k] < least:
-                        least, best = values[i, j, k], (i, j, k)
-                depth += step
-            if not met and best[0] >= 0:
-                asked[best[0], best[1], best[2]] = True
+def find_missing(points, wanted, open_parts, depths, poses, lenses, back, least, missing):
+    """Mark the ``wanted`` points that lie in ``least`` of the ``open_parts`` [v, h, w] of views or more, and in as many
+    as there are views which see something more than ``back`` behind them."""
+    height, width = open_parts.shape[1], open_parts.shape[2]
+    for n in prange(points.shape[0]):
+        missing[n] = False
+        if not wanted[n]:
+            continue
+        x, y, z = points[n, 0], points[n, 1], points[n, 2]
+        asking, through = 0, 0
+        for i in range(open_parts.shape[0]):
+            far = poses[i, 2, 0] * x + poses[i, 2, 1] * y + poses[i, 2, 2] * z + poses[i, 2, 3]
+            right = poses[i, 0, 0] * x + poses[i, 0, 1] * y + poses[i, 0, 2] * z + poses[i, 0, 3]
+            down = poses[i, 1, 0] * x + poses[i, 1, 1] * y + poses[i, 1, 2] * z + poses[i, 1, 3]
+            u, v = lenses[i, 0] * right / far + lenses[i, 2], lenses[i, 1] * down / far + lenses[i, 3]
+            if far > _NEAR and u >= 0 and v >= 0 and u < np.float32(width) and v < np.float32(height):
+                row, column = np.int32(v), np.int32(u)
+                asking += open_parts[i, row, column]
+                through += depths[i, row, column] > far + back
+        missing[n] = asking >= least and asking >= through

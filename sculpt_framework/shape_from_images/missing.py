@@ -1,0 +1,79 @@
+"""What masks show and a shape does not cover: thin and plain parts, of which depths tell nothing."""
+
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float32
+
+from sculpt_framework.cpu_kernels import kernel_cache, share_threads
+from sculpt_framework.shape_from_images.volume import Volume
+from sculpt_framework.threads import in_threads
+
+with kernel_cache("rays", Path(__file__).with_name("ray_kernels.py")):
+    from sculpt_framework.shape_from_images import ray_kernels
+
+_ASKING = 3
+"""Views in whose masks a place must be missing for it to be filled."""
+_RIM, _WIDTH = 1.5, 3.0
+"""Pixels around what is covered by which a mask may be wider without anything missing there; and around what is surely
+missing, within which the rest of it lies."""
+
+
+@runtime_checkable
+class Masked(Protocol):
+    """Masks in the upper left corners of one stack, and their cameras. A point is projected by ``poses`` into camera
+    coordinates (OpenCV), then by ``lenses`` (fx, fy, cx, cy) to pixels."""
+
+    @property
+    def inside(self) -> Bool[np.ndarray, "v h w"]: ...
+    @property
+    def poses(self) -> Float32[np.ndarray, "v 3 4"]: ...
+    @property
+    def lenses(self) -> Float32[np.ndarray, "v 4"]: ...
+    @property
+    def positions(self) -> Float32[np.ndarray, "v 3"]: ...
+
+
+def missing(
+    full: Bool[np.ndarray, "x y z"], solid: Volume, views: Masked, depths: Float32[np.ndarray, "v h w"], back: float
+) -> Bool[np.ndarray, "x y z"]:
+    """Cells within ``solid`` that would cover what masks show and ``full`` leaves open: a hull of what is missing.
+
+    Each ray of a mask meets the object. A place that lies in the open parts of three masks or more, and that no more
+    views see through, is what they show. A view sees through it if its depth lies more than ``back`` behind, in object
+    units; depths that are 0 or not a number are not known.
+    """
+    origin, cell = np.array(solid.origin, np.float32), np.float32(solid.cell)
+
+    def open_part(view: int) -> Bool[np.ndarray, "h w"]:
+        inside = views.inside[view]
+        nearest, farthest = np.zeros(inside.shape, np.float32), np.zeros(inside.shape, np.float32)
+        ray_kernels.bound_depths(
+            inside, views.poses[view], views.lenses[view], views.positions[view], full, origin, cell, nearest, farthest
+        )
+        return _open_part(inside, nearest > 0)
+
+    open_parts = np.array(in_threads(open_part, range(len(views.inside))), bool).reshape(views.inside.shape)
+    found = np.zeros(full.shape, bool)
+    share_threads()
+    ray_kernels.find_missing(
+        solid.points, ((solid.values < 0) & ~full).reshape(-1), open_parts, depths, views.poses, views.lenses,
+        np.float32(back), _ASKING, found.reshape(-1),
+    )  # fmt: skip
+    return found
+
+
+def _open_part(inside: Bool[np.ndarray, "h w"], covered: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    """What of a mask is not covered, but for a rim around what is."""
+    left = inside & ~covered
+    if not (left.any() and covered.any()):
+        return left
+    beyond = left & (_distances(covered) > _RIM)
+    return left & (_distances(beyond) <= _WIDTH) if beyond.any() else beyond
+
+
+def _distances(pixels: Bool[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
+    """From each pixel to the nearest of those given, of which there is one."""
+    return np.asarray(cv2.distanceTransform((~pixels).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE))

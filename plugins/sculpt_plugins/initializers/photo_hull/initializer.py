@@ -40,6 +40,8 @@ class PhotoHull(Initializer):
         solid = sample(hull, (x, y, z), config.cells, device)
         masked = [view for view in views if view.alpha is not None]
         chosen = masked[:: max(1, -(-len(masked) // config.max_views))]
+        # What no view shows is closed first: in a mirror on the ground, what stands on it is seen once more below.
+        solid = close_unseen(solid, [view.camera for view in chosen])
         packed = pack_views(chosen, config.pixels / 2)
         options = SweepOptions(
             views=config.maps,

@@ -45,6 +45,8 @@ class Stereo(Initializer):
         solid = sample(hull, (x, y, z), config.cells, device)
         masked = [view for view in views if view.alpha is not None]
         chosen = masked[:: max(1, -(-len(masked) // config.max_views))]
+        # What no view shows is closed first: in a mirror on the ground, what stands on it is seen once more below.
+        solid = close_unseen(solid, [view.camera for view in chosen])
         options = StereoOptions(pixels=config.pixels, neighbours=config.neighbours, agreeing=config.agreeing)
         maps = find_depths(chosen, solid, options)
         self._findings = {"depths_known": maps.known, "confidence": maps.mean_confidence}

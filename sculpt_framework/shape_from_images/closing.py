@@ -40,6 +40,14 @@ _WORTH = 0.5
 
 
 def close_unseen(solid: Volume, cameras: Sequence[Camera]) -> Volume:
+    """The shape with what no camera can see closed: ``close_cones``, or ``enclosed`` where it reaches the walls of its
+    volume and so has no cone. Returns ``solid`` itself if there are fewer than five views."""
+    if len(cameras) < _FEWEST:
+        return solid
+    return enclosed(solid, cameras) if reaches_walls(solid) else close_cones(solid, cameras)
+
+
+def close_cones(solid: Volume, cameras: Sequence[Camera]) -> Volume:
     """The shape with the parts of its surface that face away from all cameras drawn in to where they bend least.
 
     ``solid`` is a signed distance, negative inside, in the frame of the cameras. The lines of sight that touch an
@@ -50,14 +58,11 @@ def close_unseen(solid: Volume, cameras: Sequence[Camera]) -> Volume:
     Nothing is added, as the silhouettes bound the object, and of what lies nearer to what is seen than to the cone a
     cell and a half are left. Parts that only others hide stay as they are.
 
-    A shape that reaches the walls of its volume has no such cone, and is ``enclosed`` instead. Returns ``solid`` itself
-    if less than half a cell would change, if there are fewer than five views, or if more than three fifths of the
-    surface are not seen.
+    Returns ``solid`` itself if less than half a cell would change, if it reaches the walls of its volume, if there are
+    fewer than five views, or if more than three fifths of the surface are not seen.
     """
-    if len(cameras) < _FEWEST:
+    if len(cameras) < _FEWEST or reaches_walls(solid):
         return solid
-    if reaches_walls(solid):
-        return enclosed(solid, cameras)
     _, _, positions = camera_arrays(cameras)
     vertices, faces = _triangles(solid)
     if not len(faces):

@@ -1,6 +1,7 @@
 """From depth maps to a shape, and the initializer that does all of it."""
 
 from dataclasses import replace
+from types import ModuleType
 
 import cv2
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 import torch
 from exact_views import DentedBall, ball, exact_maps, fan, photograph, truth_of
 
+from sculpt_framework.config import InitializerConfig
 from sculpt_framework.demo_scenes.cameras import demo_cameras
 from sculpt_framework.errors import DataError
 from sculpt_framework.multi_view_stereo.depth_maps import DepthMaps, StereoOptions, find_depths
@@ -17,6 +19,9 @@ from sculpt_framework.shape_from_images import missing
 from sculpt_framework.shape_from_images.hull import visual_hull
 from sculpt_framework.shape_from_images.volume import Volume, sample
 from sculpt_framework.types import View
+from sculpt_plugins.initializers.photo_hull import initializer as photo_hull
+from sculpt_plugins.initializers.photo_hull.config import PhotoHullConfig
+from sculpt_plugins.initializers.stereo import initializer as stereo
 from sculpt_plugins.initializers.stereo.config import StereoConfig
 
 CPU = torch.device("cpu")
@@ -191,3 +196,26 @@ def test_no_masks_are_refused(views: list[View]) -> None:
     bare = [replace(view, alpha=None) for view in views[:3]]
     with pytest.raises(DataError, match="--initializer sphere"):
         next(StereoConfig().build().targets(bare, torch.ones(3), CPU))
+
+
+@pytest.mark.parametrize(("module", "config"), [(photo_hull, PhotoHullConfig()), (stereo, StereoConfig())])
+def test_no_depth_is_looked_for_below_what_no_view_shows(
+    module: ModuleType, config: InitializerConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A mirror on the ground shows what stands on it once more, below: in the cone that the hull has there."""
+    asked: list[Volume] = []
+
+    def find_nothing(views: object, solid: Volume, options: object) -> None:
+        asked.append(solid)
+        raise InterruptedError
+
+    monkeypatch.setattr(module, "find_depths", find_nothing)
+    some, high = DentedBall(radius=0.5, dent=0.0), np.sin(np.radians(30))
+    cameras = [each for each in demo_cameras(60, 64) if each.position[2] > high * each.position.norm()]
+    views = [photograph(some, camera, masked=True) for camera in cameras]
+    with pytest.raises(InterruptedError):
+        list(config.build().targets(views, torch.ones(3), CPU))
+    hull = sample(visual_hull(views, 100, CPU), (1.0, 1.0, 1.0), 128, CPU)
+    below = (hull.points[:, 2] < -some.radius - 3 * hull.cell).reshape(hull.shape)
+    assert ((hull.values < 0) & below).sum() > 100
+    assert not ((asked[0].values < 0) & below).any()

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from sculpt_framework.geometry.signed_distance import SdfFunction
 from sculpt_framework.initializers import Initializer
-from sculpt_framework.shape_from_images.closing import close_unseen
+from sculpt_framework.shape_from_images.closing import close_cones, close_unseen
 from sculpt_framework.shape_from_images.depth_maps import SweepOptions, find_depths, refine_depths
 from sculpt_framework.shape_from_images.fusion import carve
 from sculpt_framework.shape_from_images.hull import visual_hull
@@ -40,8 +40,8 @@ class PhotoHull(Initializer):
         solid = sample(hull, (x, y, z), config.cells, device)
         masked = [view for view in views if view.alpha is not None]
         chosen = masked[:: max(1, -(-len(masked) // config.max_views))]
-        # What no view shows is closed first: in a mirror on the ground, what stands on it is seen once more below.
-        solid = close_unseen(solid, [view.camera for view in chosen])
+        # Before depths are looked for: in a mirror on the ground, what stands on it is seen once more, below.
+        solid = close_cones(solid, [view.camera for view in chosen])
         packed = pack_views(chosen, config.pixels / 2)
         options = SweepOptions(
             views=config.maps,

@@ -11,7 +11,7 @@ from sculpt_framework.geometry.signed_distance import SdfFunction
 from sculpt_framework.initializers import Initializer
 from sculpt_framework.multi_view_stereo.depth_maps import StereoOptions, find_depths
 from sculpt_framework.multi_view_stereo.fusion import fuse
-from sculpt_framework.shape_from_images.closing import close_unseen
+from sculpt_framework.shape_from_images.closing import close_cones, close_unseen
 from sculpt_framework.shape_from_images.hull import visual_hull
 from sculpt_framework.shape_from_images.volume import sample
 from sculpt_framework.types import View
@@ -45,8 +45,8 @@ class Stereo(Initializer):
         solid = sample(hull, (x, y, z), config.cells, device)
         masked = [view for view in views if view.alpha is not None]
         chosen = masked[:: max(1, -(-len(masked) // config.max_views))]
-        # What no view shows is closed first: in a mirror on the ground, what stands on it is seen once more below.
-        solid = close_unseen(solid, [view.camera for view in chosen])
+        # Before depths are looked for: in a mirror on the ground, what stands on it is seen once more, below.
+        solid = close_cones(solid, [view.camera for view in chosen])
         options = StereoOptions(pixels=config.pixels, neighbours=config.neighbours, agreeing=config.agreeing)
         maps = find_depths(chosen, solid, options)
         self._findings = {"depths_known": maps.known, "confidence": maps.mean_confidence}

@@ -5,9 +5,12 @@ from jaxtyping import Bool, Float, Int64
 
 from sculpt_framework.geometry.topology import components
 
-_SPECK_AREA, _SPECK_SIZE = 0.01, 0.05
-"""A piece with less than this share of the largest piece's area is a speck, unless it is as long as that share of it: a
-rod, whose joint was thinner than the cells, is not."""
+_SPECK_AREA = 0.01
+"""A piece with less than this share of the largest piece's area is a speck, unless it is a rod, whose joint was thinner
+than the cells."""
+_ROD_SIZE, _ROD_SHAPE = 0.05, 3.0
+"""A rod is at least as long as this share of the largest piece, and the square of its length so many times its area: ten
+times as long as thick."""
 
 
 def main_faces(vertices: Float[np.ndarray, "v 3"], faces: Int64[np.ndarray, "f 3"]) -> Bool[np.ndarray, " f"]:
@@ -29,8 +32,8 @@ def main_faces(vertices: Float[np.ndarray, "v 3"], faces: Int64[np.ndarray, "f 3
     np.minimum.at(low, piece, corners.min(axis=1))
     np.maximum.at(high, piece, corners.max(axis=1))
     size = np.linalg.norm(high - low, axis=1)
-    large = (area >= _SPECK_AREA * area.max()) | (size >= _SPECK_SIZE * size[area.argmax()])
-    keep = large & (volume > 0)
+    rod = (size >= _ROD_SIZE * size[area.argmax()]) & (size**2 >= _ROD_SHAPE * area)
+    keep = ((area >= _SPECK_AREA * area.max()) | rod) & (volume > 0)
     keep[area.argmax()] = True
     return keep[piece]
 

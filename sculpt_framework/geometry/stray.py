@@ -9,8 +9,8 @@ _SPECK_AREA = 0.01
 """A piece with less than this share of the largest piece's area is a speck, unless it is a rod, whose joint was thinner
 than the cells."""
 _ROD_SIZE, _ROD_SHAPE = 0.05, 3.0
-"""A rod is at least as long as this share of the largest piece, and the square of its length so many times its area: ten
-times as long as thick."""
+"""A rod is at least as long as this share of the largest piece, and the square of its length at least so many times its
+area: it is some ten times as long as thick."""
 
 
 def main_faces(vertices: Float[np.ndarray, "v 3"], faces: Int64[np.ndarray, "f 3"]) -> Bool[np.ndarray, " f"]:

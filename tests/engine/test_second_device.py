@@ -130,7 +130,9 @@ def test_every_term_and_decision_of_the_default_works_on_another_device(scene: S
     assert np.isfinite(outcome.result.vertices).all()
 
 
-@pytest.mark.parametrize("name", ["nerf", "neus", "volsdf"])
+@pytest.mark.parametrize(
+    "name", [pytest.param("nerf", marks=pytest.mark.slow), pytest.param("neus", marks=pytest.mark.slow), "volsdf"]
+)
 def test_volumes_are_rendered_on_another_device(name: str, scene: Scene, monkeypatch: pytest.MonkeyPatch):
     config = sculpt.methods[name]()
     assert isinstance(config, VolumeConfig)
@@ -140,7 +142,7 @@ def test_volumes_are_rendered_on_another_device(name: str, scene: Scene, monkeyp
         assert_lives(small, scene)
 
 
-@pytest.mark.parametrize("name", ["splatting-3d", "pgsr"])
+@pytest.mark.parametrize("name", [pytest.param("splatting-3d", marks=pytest.mark.slow), "pgsr"])
 def test_free_gaussians_live_on_another_device(name: str, scene: Scene, monkeypatch: pytest.MonkeyPatch):
     config = sculpt.methods[name]()
     assert isinstance(config, FreeGaussiansConfig)

@@ -1,7 +1,7 @@
 """From depth maps to a shape, and the initializer that does all of it."""
 
 from dataclasses import replace
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import cv2
 import numpy as np
@@ -198,9 +198,34 @@ def test_no_masks_are_refused(views: list[View]) -> None:
         next(StereoConfig().build().targets(bare, torch.ones(3), CPU))
 
 
-@pytest.mark.parametrize(("module", "config"), [(photo_hull, PhotoHullConfig()), (stereo, StereoConfig())])
+INITIALIZERS = [(photo_hull, PhotoHullConfig()), (stereo, StereoConfig())]
+LOW = DentedBall(radius=0.5, dent=0.0)
+
+
+@pytest.fixture(scope="module")
+def from_high_above() -> list[View]:
+    """Views from 30 degrees upwards: below the ball there is a cone that none of them shows."""
+    high = np.sin(np.radians(30))
+    cameras = [each for each in demo_cameras(60, 64) if each.position[2] > high * each.position.norm()]
+    return [photograph(LOW, camera, masked=True) for camera in cameras]
+
+
+@pytest.fixture(scope="module")
+def cone(from_high_above: list[View]) -> np.ndarray:
+    """Points of it, three cells below the ball."""
+    hull = sample(visual_hull(from_high_above, 100, CPU), (1.0, 1.0, 1.0), 128, CPU)
+    below = (hull.values.reshape(-1) < 0) & (hull.points[:, 2] < -LOW.radius - 3 * hull.cell)
+    assert below.sum() > 100
+    return hull.points[below]
+
+
+@pytest.mark.parametrize(("module", "config"), INITIALIZERS)
 def test_no_depth_is_looked_for_below_what_no_view_shows(
-    module: ModuleType, config: InitializerConfig, monkeypatch: pytest.MonkeyPatch
+    module: ModuleType,
+    config: InitializerConfig,
+    from_high_above: list[View],
+    cone: np.ndarray,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A mirror on the ground shows what stands on it once more, below: in the cone that the hull has there."""
     asked: list[Volume] = []
@@ -210,12 +235,24 @@ def test_no_depth_is_looked_for_below_what_no_view_shows(
         raise InterruptedError
 
     monkeypatch.setattr(module, "find_depths", find_nothing)
-    some, high = DentedBall(radius=0.5, dent=0.0), np.sin(np.radians(30))
-    cameras = [each for each in demo_cameras(60, 64) if each.position[2] > high * each.position.norm()]
-    views = [photograph(some, camera, masked=True) for camera in cameras]
     with pytest.raises(InterruptedError):
-        list(config.build().targets(views, torch.ones(3), CPU))
-    hull = sample(visual_hull(views, 100, CPU), (1.0, 1.0, 1.0), 128, CPU)
-    below = (hull.points[:, 2] < -some.radius - 3 * hull.cell).reshape(hull.shape)
-    assert ((hull.values < 0) & below).sum() > 100
-    assert not ((asked[0].values < 0) & below).any()
+        list(config.build().targets(from_high_above, torch.ones(3), CPU))
+    assert (asked[0].interpolator(CPU)(torch.from_numpy(cone)) > 0).all()
+
+
+@pytest.mark.parametrize(("module", "config"), INITIALIZERS)
+def test_without_any_depth_the_cone_is_closed_too(
+    module: ModuleType,
+    config: InitializerConfig,
+    from_high_above: list[View],
+    cone: np.ndarray,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Also where closing it once more, after depths, changes nothing worth it."""
+    monkeypatch.setattr(module, "close_unseen", lambda shape, cameras: shape)
+    monkeypatch.setattr(
+        module, "find_depths", lambda views, solid, options: SimpleNamespace(known=0.0, mean_confidence=0.0)
+    )
+    first, last = config.build().targets(from_high_above, torch.ones(3), CPU)
+    assert (first(torch.from_numpy(cone)) < 0).all()
+    assert (last(torch.from_numpy(cone)) > 0).all()

@@ -37,11 +37,12 @@ class PhotoHull(Initializer):
         hull = visual_hull(views, config.max_views, device)
         yield hull
         x, y, z = (float(side) for side in half_sides)
-        solid = sample(hull, (x, y, z), config.cells, device)
+        sampled = sample(hull, (x, y, z), config.cells, device)
         masked = [view for view in views if view.alpha is not None]
         chosen = masked[:: max(1, -(-len(masked) // config.max_views))]
         # Before depths are looked for: in a mirror on the ground, what stands on it is seen once more, below.
-        solid = close_cones(solid, [view.camera for view in chosen])
+        cameras = [view.camera for view in chosen]
+        solid = close_cones(sampled, cameras)
         packed = pack_views(chosen, config.pixels / 2)
         options = SweepOptions(
             views=config.maps,
@@ -61,7 +62,7 @@ class PhotoHull(Initializer):
                 finer = pack_views(chosen, float(2**level * config.pixels))
                 packed, maps = finer, refine_depths(finer, packed, maps, options)
             shape = carve(solid, packed, maps, config.margin * maps.step)
-        shape = close_unseen(shape, [view.camera for view in chosen])
-        if shape is solid:
+        shape = close_unseen(shape, cameras)
+        if shape is sampled:
             return
         yield shape.within(hull, device)

@@ -42,11 +42,12 @@ class Stereo(Initializer):
         hull = visual_hull(views, config.max_views, device)
         yield hull
         x, y, z = (float(side) for side in half_sides)
-        solid = sample(hull, (x, y, z), config.cells, device)
+        sampled = sample(hull, (x, y, z), config.cells, device)
         masked = [view for view in views if view.alpha is not None]
         chosen = masked[:: max(1, -(-len(masked) // config.max_views))]
         # Before depths are looked for: in a mirror on the ground, what stands on it is seen once more, below.
-        solid = close_cones(solid, [view.camera for view in chosen])
+        cameras = [view.camera for view in chosen]
+        solid = close_cones(sampled, cameras)
         options = StereoOptions(pixels=config.pixels, neighbours=config.neighbours, agreeing=config.agreeing)
         maps = find_depths(chosen, solid, options)
         self._findings = {"depths_known": maps.known, "confidence": maps.mean_confidence}
@@ -56,7 +57,7 @@ class Stereo(Initializer):
             logging.getLogger("sculpt").info(why)
         else:
             shape = fuse(solid, maps)
-        shape = close_unseen(shape, [view.camera for view in chosen])
-        if shape is solid:
+        shape = close_unseen(shape, cameras)
+        if shape is sampled:
             return
         yield shape.within(hull, device)

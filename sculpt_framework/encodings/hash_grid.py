@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -71,7 +72,7 @@ class HashEncoding(nn.Module):
         if not 0 <= active <= len(self.resolutions):
             raise ValueError(f"{active} active levels of a hash grid that has {len(self.resolutions)}")
         tables, resolutions = list(self.tables)[:active], self.resolutions[:active]
-        kernels = _kernels(points.device) if active and points.dtype == tables[0].dtype == torch.float32 else None
+        kernels = _kernels(points.device.type) if active and points.dtype == tables[0].dtype == torch.float32 else None
         if kernels is not None:
             encoded = kernels.apply(points, resolutions, self.sum_levels, *tables)
         else:
@@ -82,13 +83,14 @@ class HashEncoding(nn.Module):
         return torch.cat([encoded, encoded.new_zeros(points.shape[0], idle)], dim=1) if idle else encoded
 
 
-def _kernels(device: torch.device) -> "type[_CompiledEncoding | TritonEncoding] | None":
-    """What is compiled for a device. Triton comes with torch for CUDA on Linux; elsewhere torch does it."""
-    if device.type == "cuda" and find_spec("triton") is not None:
+@cache
+def _kernels(device: str) -> "type[_CompiledEncoding | TritonEncoding] | None":
+    """What is compiled for a type of device. Triton comes with torch for CUDA on Linux; elsewhere torch does it."""
+    if device == "cuda" and find_spec("triton") is not None:
         from sculpt_framework.encodings.hash_grid_triton import TritonEncoding
 
         return TritonEncoding
-    return _CompiledEncoding if device.type == "cpu" else None
+    return _CompiledEncoding if device == "cpu" else None
 
 
 class _CompiledEncoding(torch.autograd.Function):

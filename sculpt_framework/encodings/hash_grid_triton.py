@@ -70,6 +70,15 @@ def _cell(value, resolution):
 
 
 @triton.jit
+def _lanes(count, column, width, FEATURES: tl.constexpr, PADDED: tl.constexpr, POINTS: tl.constexpr):
+    """Points of a program, which there are, features, where these stand in rows of the width, which count."""
+    n = tl.program_id(0).to(tl.int64) * POINTS + tl.arange(0, POINTS)
+    f = tl.arange(0, PADDED)[None, :]
+    inside = n < count
+    return n, inside, f, n[:, None] * width + column + f, inside[:, None] & (f < FEATURES)
+
+
+@triton.jit
 def _cells(points, n, inside, resolution):
     x, along_x = _cell(tl.load(points + 3 * n, mask=inside, other=0.0), resolution)
     y, along_y = _cell(tl.load(points + 3 * n + 1, mask=inside, other=0.0), resolution)
@@ -101,23 +110,25 @@ def _share(fraction, upper: tl.constexpr):
 
 
 @triton.jit
+def _weight(along, corner: tl.constexpr):
+    """Of a corner, for each point and all of its features."""
+    share = _share(along[0], corner & 1) * _share(along[1], corner >> 1 & 1) * _share(along[2], corner >> 2)
+    return share[:, None]
+
+
+@triton.jit
 def _encode(
     points, out, table, count, resolution, entries, column, width,
     FEATURES: tl.constexpr, PADDED: tl.constexpr, DENSE: tl.constexpr, POINTS: tl.constexpr,
 ):  # fmt: skip
     """out[:, column : column + features] += trilinear features."""
-    n = tl.program_id(0).to(tl.int64) * POINTS + tl.arange(0, POINTS)
-    f = tl.arange(0, PADDED)[None, :]
-    inside = n < count
-    mask = inside[:, None] & (f < FEATURES)
+    n, inside, f, at, mask = _lanes(count, column, width, FEATURES, PADDED, POINTS)
     cell, along = _cells(points, n, inside, resolution)
-    at = out + n[:, None] * width + column + f
-    total = tl.load(at, mask=mask, other=0.0)
+    total = tl.load(out + at, mask=mask, other=0.0)
     for corner in tl.static_range(8):
         row = _row(cell, corner, resolution, entries, DENSE)
-        weight = _share(along[0], corner & 1) * _share(along[1], corner >> 1 & 1) * _share(along[2], corner >> 2)
-        total += weight[:, None] * tl.load(table + row[:, None] * FEATURES + f, mask=mask, other=0.0)
-    tl.store(at, total, mask=mask)
+        total += _weight(along, corner) * tl.load(table + row[:, None] * FEATURES + f, mask=mask, other=0.0)
+    tl.store(out + at, total, mask=mask)
 
 
 @triton.jit
@@ -126,18 +137,15 @@ def _differentiate_table(
     FEATURES: tl.constexpr, PADDED: tl.constexpr, DENSE: tl.constexpr, POINTS: tl.constexpr,
 ):  # fmt: skip
     """Add the gradient by the table to ``to_table``."""
-    n = tl.program_id(0).to(tl.int64) * POINTS + tl.arange(0, POINTS)
-    f = tl.arange(0, PADDED)[None, :]
-    inside = n < count
-    mask = inside[:, None] & (f < FEATURES)
-    slopes = tl.load(to_out + n[:, None] * width + column + f, mask=mask, other=0.0)
+    n, inside, f, at, mask = _lanes(count, column, width, FEATURES, PADDED, POINTS)
+    slopes = tl.load(to_out + at, mask=mask, other=0.0)
     # Of a surface's Gaussians one view shows less than half; what the others say is not asked.
     mask = mask & (slopes != 0.0)
     cell, along = _cells(points, n, inside, resolution)
     for corner in tl.static_range(8):
         row = _row(cell, corner, resolution, entries, DENSE)
-        weight = _share(along[0], corner & 1) * _share(along[1], corner >> 1 & 1) * _share(along[2], corner >> 2)
-        tl.atomic_add(to_table + row[:, None] * FEATURES + f, weight[:, None] * slopes, mask=mask, sem="relaxed")
+        part = _weight(along, corner) * slopes
+        tl.atomic_add(to_table + row[:, None] * FEATURES + f, part, mask=mask, sem="relaxed")
 
 
 @triton.jit
@@ -146,11 +154,8 @@ def _differentiate_points(
     FEATURES: tl.constexpr, PADDED: tl.constexpr, DENSE: tl.constexpr, POINTS: tl.constexpr,
 ):  # fmt: skip
     """Add the gradient by position to ``to_points``; nothing along an axis where a point is clamped."""
-    n = tl.program_id(0).to(tl.int64) * POINTS + tl.arange(0, POINTS)
-    f = tl.arange(0, PADDED)[None, :]
-    inside = n < count
-    mask = inside[:, None] & (f < FEATURES)
-    slopes = tl.load(to_out + n[:, None] * width + column + f, mask=mask, other=0.0)
+    n, inside, f, at, mask = _lanes(count, column, width, FEATURES, PADDED, POINTS)
+    slopes = tl.load(to_out + at, mask=mask, other=0.0)
     cell, along = _cells(points, n, inside, resolution)
     to_x = tl.zeros([POINTS], tl.float32)
     to_y = tl.zeros([POINTS], tl.float32)

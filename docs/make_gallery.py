@@ -12,13 +12,13 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import torch
 from compare_meshes import shaded
 
 from sculpt_framework.engine.run import MESH_NAME, load_finished
 from sculpt_framework.evaluation.mesh import load_mesh
 from sculpt_framework.export.drawn_mesh import draw_saved_mesh
 from sculpt_framework.export.mesh_pixels import draw_mesh
+from sculpt_framework.viewing.layers import as_bytes
 
 SIDE = 380
 """Pixels of a square."""
@@ -42,15 +42,11 @@ def column(folder: str, view: str) -> np.ndarray:
     chosen = train[int(view)] if view else train[len(train) // 2]
     mesh, painted = load_mesh(path), draw_saved_mesh(path)(chosen.camera).rgb
     seen = draw_mesh(mesh.vertices, mesh.faces, chosen.camera).face >= 0
-    pictures = in_bytes(chosen.rgb), in_bytes(painted), shaded(mesh, chosen.camera)
+    pictures = as_bytes(chosen.rgb.numpy()), as_bytes(painted.numpy()), shaded(mesh, chosen.camera)
     rows, columns = np.flatnonzero(seen.any(axis=1)), np.flatnonzero(seen.any(axis=0))
     middle = (rows[0] + rows[-1]) / 2, (columns[0] + columns[-1]) / 2
     half = (0.5 + MARGIN) * max(rows[-1] - rows[0], columns[-1] - columns[0])
     return np.vstack([square(picture, middle, half) for picture in pictures])
-
-
-def in_bytes(rgb: torch.Tensor) -> np.ndarray:
-    return np.rint(255 * rgb.clamp(0, 1).numpy()).astype(np.uint8)
 
 
 def square(picture: np.ndarray, middle: tuple[float, float], half: float) -> np.ndarray:

@@ -5,19 +5,14 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import tyro
 
 from sculpt_framework import registry
 from sculpt_framework.command_line.options import Flag
-from sculpt_framework.config import DatasetConfig, ExtractorConfig, InitializerConfig
+from sculpt_framework.config import DatasetConfig, InitializerConfig
 from sculpt_framework.errors import ConfigError, DataError
-
-if TYPE_CHECKING:
-    from sculpt_framework.evaluation.mesh import Mesh
-    from sculpt_framework.geometry.signed_distance import SdfFunction
-    from sculpt_framework.types import Scene
 
 PROGRAM = "sculpt-bench start"
 
@@ -84,6 +79,7 @@ def _rows(data: str, request: StartRequest) -> list[StartRow]:
     from sculpt_framework.evaluation.mesh import load_mesh
     from sculpt_framework.evaluation.visibility import seen_by, visible_distances
     from sculpt_framework.posed_images.training_images import in_object_frame
+    from sculpt_framework.sculpting.initial_fit import start_mesh
 
     dataset = registry.default("dataset", "auto")
     assert isinstance(dataset, DatasetConfig)  # noqa: S101
@@ -100,7 +96,7 @@ def _rows(data: str, request: StartRequest) -> list[StartRow]:
         wall, cpu = time.perf_counter(), time.process_time()
         *_, function = config.build().targets(views, scene.box.half_sides, torch.device("cpu"))
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
-        mesh = _surface(function, scene, request.cells)
+        mesh = start_mesh(function, scene.box, request.cells)
         result = chamfer(mesh, reference, samples=request.samples, point_to_point=False)
         rows.append(
             StartRow(
@@ -115,21 +111,3 @@ def _rows(data: str, request: StartRequest) -> list[StartRow]:
             )
         )
     return rows
-
-
-def _surface(function: "SdfFunction", scene: "Scene", cells: int) -> "Mesh":
-    """Marching tetrahedra on the cells that the surface may pass through; in world frame."""
-    import numpy as np
-    import torch
-
-    from sculpt_framework.evaluation.mesh import Mesh
-    from sculpt_framework.geometry.grid import grid_over_box
-    from sculpt_framework.sculpting.initial_fit import start_surface
-
-    device = torch.device("cpu")
-    grid = grid_over_box(scene.box.half_sides, cells)
-    config = registry.default("extractor", "marching-tetrahedra")
-    assert isinstance(config, ExtractorConfig)  # noqa: S101
-    surface = start_surface(function, config.build(grid, device), device)
-    vertices = scene.box.to_world(surface.vertices).numpy().astype(np.float64)
-    return Mesh(vertices=vertices, faces=surface.faces.numpy())

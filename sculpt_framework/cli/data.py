@@ -5,20 +5,18 @@ import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 from sculpt_framework import registry
 from sculpt_framework.cli import data_markers, exit_codes
 from sculpt_framework.cli.data_pose import add_pose_command, pose_photographs
+from sculpt_framework.cli.scene_folder import open_folder
 from sculpt_framework.ranges import require
-from sculpt_framework.validation import check_component
 from sculpt_framework.viewing.address import PORT
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from sculpt_framework.config import DatasetConfig
-    from sculpt_framework.datasets import Dataset
     from sculpt_framework.types import Scene, View
 
 
@@ -87,7 +85,7 @@ def inspect(folder: str, picture: Path | None = None, downscale: int | None = No
     from sculpt_framework.frame import frame_of
     from sculpt_framework.posed_images.findings import findings
 
-    scene = _load(folder, downscale)
+    scene = open_folder(folder, downscale).load()
     frame = frame_of(scene, folder)
     told = [] if frame is None else [f"frame      {frame.in_words()}"]
     lines = [*scene_card(scene), *told, *(f"look at    {line}" for line in findings(scene))]
@@ -110,11 +108,11 @@ def choose_box(folder: str, port: int, downscale: int | None) -> str:
 
     check_address(HOST, port, "--port")
     # Layouts without such an option say so now.
-    _dataset(folder, downscale, box=(-1.0, -1.0, -1.0, 1.0, 1.0, 1.0))
+    open_folder(folder, downscale, box=(-1.0, -1.0, -1.0, 1.0, 1.0, 1.0))
     try:
-        scene = _load(folder, downscale)
+        scene = open_folder(folder, downscale).load()
     except DataError as error:
-        scene = _load(folder, downscale, masks="none")
+        scene = open_folder(folder, downscale, masks="none").load()
         sys.stderr.write(f"note: the box is that of the cameras alone; {error}\n")
     page = BoxPage(scene, HOST, port)
     announce(HOST, page.port)
@@ -136,7 +134,7 @@ def write_masks(folder: str, out: Path, downscale: int | None) -> list[str]:
     from sculpt_framework.posed_images.contact_sheet import contact_sheet
 
     _check_new(out)
-    scene = _outlined(Path(folder), downscale) if _is_run(folder) else _load(folder, downscale)
+    scene = _outlined(Path(folder), downscale) if _is_run(folder) else open_folder(folder, downscale).load()
     masked = [view for view in (*scene.train, *scene.test) if view.alpha is not None]
     if not masked:
         raise DataError(f"{folder}: no view has a mask, and none was made.")
@@ -190,7 +188,7 @@ def write_depth_maps(folder: str, out: Path, pixels: int, downscale: int | None)
         raise ConfigError(f"--pixels {pixels}: expected 1 or more; leave it out for {usual['pixels']}.")
     _check_new(out)
     options = StereoOptions(pixels=pixels, neighbours=usual["neighbours"], agreeing=usual["agreeing"])
-    scene = _load(folder, downscale)
+    scene = open_folder(folder, downscale).load()
     console = Console(stderr=True)
     with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task("finding depths", total=1.0)
@@ -216,17 +214,6 @@ def _check_new(folder: Path) -> None:
 
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise OutputError(f"{folder}: exists and is not empty; give a new or an empty folder with --out.")
-
-
-def _load(folder: str, downscale: int | None, **options: object) -> "Scene":
-    return _dataset(folder, downscale, **options).load()
-
-
-def _dataset(folder: str, downscale: int | None, **options: object) -> "Dataset":
-    config = cast("DatasetConfig", registry.default("dataset", "auto"))
-    config = replace(config, **options, **({} if downscale is None else {"downscale": downscale}))
-    check_component(config)
-    return config.build(folder)
 
 
 def _write_picture(path: Path, pixels: "np.ndarray") -> None:

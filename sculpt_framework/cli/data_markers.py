@@ -3,17 +3,14 @@
 import argparse
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
-from sculpt_framework import registry
+from sculpt_framework.cli.scene_folder import open_folder
 from sculpt_framework.errors import ConfigError, DataError
 
 if TYPE_CHECKING:
-    from sculpt_framework.config import DatasetConfig
     from sculpt_framework.markers.boards import Board
-    from sculpt_framework.types import Scene
 
 COMMANDS = ("markers", "scale", "pose-board")
 _DEFAULT_BOARD = "charuco-7x9-26"
@@ -88,7 +85,12 @@ def find_scale(arguments: argparse.Namespace) -> list[str]:
     by_markers = bool(boards or bars)
     # What the object stands on is found together with its masks.
     masks = "none" if by_markers or up is not None else "ignored"
-    scene = _load(arguments.folder, arguments.downscale, masks)
+    try:
+        dataset = open_folder(arguments.folder, arguments.downscale, masks=masks)
+    except ConfigError:
+        # A layout whose images have an alpha of their own has no such option.
+        dataset = open_folder(arguments.folder, arguments.downscale)
+    scene = dataset.load()
     with told_progress("looking for markers", quiet=not by_markers) as progress:
         measured = measure_frame(scene, boards, bars, arguments.dictionary, up, progress)
     before = None
@@ -161,15 +163,3 @@ def told_progress(what: str, *, quiet: bool = False) -> Iterator[Callable[[float
     with Progress(console=console, transient=True, disable=quiet or not console.is_terminal) as progress:
         task = progress.add_task(what, total=1.0)
         yield lambda share: progress.update(task, completed=share)
-
-
-def _load(folder: str, downscale: int | None, masks: str) -> "Scene":
-    """The scene as a run reads it, but for its masks where the layout lets one choose them."""
-    config = cast("DatasetConfig", registry.default("dataset", "auto"))
-    config = replace(config, **({} if downscale is None else {"downscale": downscale}))
-    try:
-        dataset = replace(config, **{"masks": masks}).build(folder)
-    except ConfigError:
-        # A layout whose images have an alpha of their own has no such option.
-        dataset = config.build(folder)
-    return dataset.load()

@@ -4,10 +4,14 @@ from collections.abc import Callable, Sequence
 
 import torch
 
+from sculpt_framework import registry
 from sculpt_framework.adam import Adam
+from sculpt_framework.config import ExtractorConfig
+from sculpt_framework.evaluation.mesh import Mesh
 from sculpt_framework.extractors import Extractor
 from sculpt_framework.fields import Field
 from sculpt_framework.geometry.band import discover
+from sculpt_framework.geometry.grid import grid_over_box
 from sculpt_framework.geometry.signed_distance import SdfFunction
 from sculpt_framework.initializers import Initializer
 from sculpt_framework.posed_images.training_images import in_object_frame
@@ -68,6 +72,16 @@ def start_surface(target: SdfFunction, extractor: Extractor, device: torch.devic
     with torch.no_grad():
         seeds = discover(target, extractor.grid, coarse_level=0, lipschitz=_STEEPEST, device=device)
         return extractor.extract(target, seeds).surface
+
+
+def start_mesh(target: SdfFunction, box: Box, cells: int) -> Mesh:
+    """The same by marching tetrahedra in so many cells along the longest side of the box, in world frame."""
+    device = torch.device("cpu")
+    grid = grid_over_box(box.half_sides, cells)
+    config = registry.default("extractor", "marching-tetrahedra")
+    assert isinstance(config, ExtractorConfig)  # noqa: S101
+    surface = start_surface(target, config.build(grid, device), device)
+    return Mesh(vertices=box.to_world(surface.vertices).double().numpy(), faces=surface.faces.numpy())
 
 
 def fit_field(field: Field, volume: Volume, *, steps: int, generator: torch.Generator, device: torch.device) -> float:

@@ -1,0 +1,124 @@
+"""What a method makes of few photographs: error over the number of views, beside the visual hull of the same views.
+
+    python docs/measure_few_views.py SCENE... [--counts 3 6 10 20] [--methods gaussian-sculpting neus]
+                                     [--from above] [--max-time SECONDS] [--out DIR]
+
+A scene is anything with a reference mesh that ``sculpt-train --data`` takes. Its train views are thinned to so many,
+spread evenly over the directions they look from: each is the one farthest from those before (the first is the one
+nearest to the scene's first axis). ``--from above`` takes those above the object's middle, ``--from front`` those
+within 75 degrees of that axis. Told are the Chamfer distance in hundredths of scene units, of the whole surface and of
+what any of all the train views sees of it, the mean angle between normals there, and seconds. Meshes are kept in DIR.
+"""
+
+import argparse
+import statistics
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float
+
+import sculpt_framework as sculpt
+from sculpt_framework import registry
+from sculpt_framework.config import InitializerConfig
+from sculpt_framework.engine.session import Session
+from sculpt_framework.evaluation.geometry import MeasuredMesh, chamfer
+from sculpt_framework.evaluation.mesh import Mesh, load_mesh
+from sculpt_framework.evaluation.visibility import seen_by, visible_distances
+from sculpt_framework.export.mesh_files import write_mesh_ply
+from sculpt_framework.posed_images.training_images import in_object_frame
+from sculpt_framework.sculpting.initial_fit import start_mesh
+from sculpt_framework.types import Scene
+
+HULL = "visual-hull"
+"""Of the names of methods: no training."""
+CELLS = 128
+SAMPLES = 50_000
+FRONT_DEGREES = 75.0
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scenes", nargs="+")
+    parser.add_argument("--counts", nargs="+", type=int, default=[3, 6, 10, 20])
+    parser.add_argument("--methods", nargs="+", default=[HULL, "gaussian-sculpting"])
+    parser.add_argument("--from", dest="side", choices=["around", "above", "front"], default="around")
+    parser.add_argument("--max-time", type=float)
+    parser.add_argument("--out", type=Path)
+    request = parser.parse_args()
+    say("| scene | views | method | Chamfer 1e-2 | of what is seen | normals | seconds |")
+    say("|---|---|---|---|---|---|---|")
+    ratios: dict[str, list[float]] = {name: [] for name in request.methods}
+    for data in request.scenes:
+        whole = sculpt.load(data)
+        if whole.reference_mesh is None:
+            sys.exit(f"{data}: has no reference mesh; expected gt_mesh.ply in the folder.")
+        reference = MeasuredMesh(load_mesh(Path(whole.reference_mesh)), SAMPLES)
+        seen = seen_by(reference, [view.camera for view in whole.train])
+        for count in request.counts:
+            scene = thinned(whole, count, request.side)
+            for name in request.methods:
+                began = time.perf_counter()
+                mesh = made(scene, name, request.max_time)
+                seconds = time.perf_counter() - began
+                if request.out is not None:
+                    request.out.mkdir(parents=True, exist_ok=True)
+                    path = request.out / f"{whole.name}-{len(scene.train)}-{name}.ply"
+                    write_mesh_ply(path, mesh.vertices, mesh.faces)
+                full = chamfer(mesh, reference, samples=SAMPLES, point_to_point=False)
+                shown = visible_distances(mesh, reference, seen)
+                ratios[name].append(full.point_to_surface)
+                say(
+                    f"| {whole.name} | {len(scene.train)} | {name} | {100 * full.point_to_surface:.3f} | "
+                    f"{100 * shown.point_to_surface:.3f} | {shown.normal_error:.1f} | {seconds:.0f} |"
+                )
+    for name, found in ratios.items():
+        say(f"\n{name}: median of all {100 * statistics.median(found):.3f}")
+
+
+def thinned(scene: Scene, count: int, side: str) -> Scene:
+    """The scene with so many of its train views, or all there are from that side if those are fewer."""
+    middle = scene.box.to_world(scene.box.half_sides.new_zeros(1, 3))[0].numpy()
+    places = np.stack([view.camera.position.double().numpy() for view in scene.train]) - middle
+    directions = places / np.linalg.norm(places, axis=1, keepdims=True)
+    allowed = np.flatnonzero(
+        {
+            "around": np.ones(len(directions), bool),
+            "above": directions[:, 2] > 0,
+            "front": directions[:, 0] > np.cos(np.radians(FRONT_DEGREES)),
+        }[side]
+    )
+    chosen = allowed[spread(directions[allowed], count)]
+    return replace(scene, train=[scene.train[index] for index in sorted(chosen)])
+
+
+def spread(directions: Float[np.ndarray, "n 3"], count: int) -> list[int]:
+    """Of unit vectors, so many, each the one farthest from those before."""
+    chosen = [int(directions[:, 0].argmax())]
+    nearest = directions @ directions[chosen[0]]
+    while len(chosen) < min(count, len(directions)):
+        chosen.append(int(nearest.argmin()))
+        nearest = np.maximum(nearest, directions @ directions[chosen[-1]])
+    return chosen
+
+
+def made(scene: Scene, name: str, max_time: float | None) -> Mesh:
+    if name == HULL:
+        hull = registry.default("initializer", HULL)
+        assert isinstance(hull, InitializerConfig)  # noqa: S101
+        views = [in_object_frame(view, scene.box) for view in scene.train]
+        *_, function = hull.build().targets(views, scene.box.half_sides, torch.device("cpu"))
+        return start_mesh(function, scene.box, CELLS)
+    return Session(scene, sculpt.methods[name](), max_time=max_time).run().mesh
+
+
+def say(line: str) -> None:
+    sys.stdout.write(line + "\n")
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()

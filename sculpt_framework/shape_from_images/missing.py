@@ -5,7 +5,7 @@ from typing import Protocol, runtime_checkable
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float32
+from jaxtyping import Bool, Float32, Int32
 
 from sculpt_framework.cpu_kernels import kernel_cache, share_threads
 from sculpt_framework.shape_from_images.volume import Volume
@@ -16,6 +16,9 @@ with kernel_cache("rays", Path(__file__).with_name("ray_kernels.py")):
 
 _ASKING = 3
 """Views in whose masks a place must be missing for it to be filled."""
+_LEADING = np.float32(0.8)
+"""Share of the largest surplus of views on a ray of an open part, of those that ask over those that see through, with
+which a place may be what is missing there."""
 _RIM, _WIDTH = 1.5, 3.0
 """Pixels around what is covered by which a mask may be wider without anything missing there; and around what is surely
 missing, within which the rest of it lies."""
@@ -42,8 +45,10 @@ def missing(
     """Cells within ``solid`` that would cover what masks show and ``full`` leaves open: a hull of what is missing.
 
     Each ray of a mask meets the object. A place that lies in the open parts of three masks or more, and that no more
-    views see through, is what they show. A view sees through it if its depth lies more than ``back`` behind, in object
-    units; depths that are 0 or not a number are not known.
+    views see through, may be what they show. A view sees through it if its depth lies more than ``back`` behind, in
+    object units; depths that are 0 or not a number are not known. One place is enough for a ray: only those are taken
+    for which four fifths as much speaks as for the best of their rays. Views that see the rim of an opening from the
+    side would close it with a lid else.
     """
     origin, cell = np.array(solid.origin, np.float32), np.float32(solid.cell)
 
@@ -56,13 +61,30 @@ def missing(
         return _open_part(inside, nearest > 0)
 
     open_parts = np.array(in_threads(open_part, range(len(views.inside))), bool).reshape(views.inside.shape)
-    found = np.zeros(full.shape, bool)
+    asked = np.flatnonzero((solid.values < 0) & ~full)
+    points, surplus = solid.points[asked], np.zeros(len(asked), np.int32)
     share_threads()
-    ray_kernels.find_missing(
-        solid.points, ((solid.values < 0) & ~full).reshape(-1), open_parts, depths, views.poses, views.lenses,
-        np.float32(back), _ASKING, found.reshape(-1),
-    )  # fmt: skip
-    return found
+    ray_kernels.count_missing(points, open_parts, depths, views.poses, views.lenses, np.float32(back), _ASKING, surplus)
+    asked, points, surplus = asked[surplus > 0], points[surplus > 0], surplus[surplus > 0]
+
+    def most_on_rays(view: int) -> Int32[np.ndarray, "h w"]:
+        most = np.zeros(open_parts.shape[1:], np.int32)
+        ray_kernels.most_on_rays(points, surplus, open_parts[view], views.poses[view], views.lenses[view], most)
+        return _largest_around(most, float(cell * views.lenses[view, 0] / np.linalg.norm(views.positions[view])))
+
+    most = np.array(in_threads(most_on_rays, range(len(open_parts))), np.int32).reshape(open_parts.shape)
+    chosen = np.zeros(len(asked), bool)
+    share_threads()
+    ray_kernels.choose_missing(points, surplus, open_parts, most, views.poses, views.lenses, _LEADING, _ASKING, chosen)
+    found = np.zeros(full.size, bool)
+    found[asked[chosen]] = True
+    return found.reshape(full.shape)
+
+
+def _largest_around(values: Int32[np.ndarray, "h w"], cell: float) -> Int32[np.ndarray, "h w"]:
+    """Within the pixels that a cell of such a width, seen in the middle, may cover: it is known by its centre only."""
+    side = 2 * max(1, round(cell / 2)) + 1
+    return cv2.dilate(values.astype(np.float32), np.ones((side, side), np.uint8)).astype(np.int32)
 
 
 def _open_part(inside: Bool[np.ndarray, "h w"], covered: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:

@@ -56,24 +56,53 @@ def bound_depths(inside, pose, lens, position, solid, origin, cell, nearest, far
                 depth += step
 
 
+@njit(inline="always", **_OPTIONS)
+def _pixel(points, n, pose, lens, height, width):
+    """The depth, row and column at which a point is seen; a row of -1 where it is not."""
+    x, y, z = points[n, 0], points[n, 1], points[n, 2]
+    far = pose[2, 0] * x + pose[2, 1] * y + pose[2, 2] * z + pose[2, 3]
+    right = pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z + pose[0, 3]
+    down = pose[1, 0] * x + pose[1, 1] * y + pose[1, 2] * z + pose[1, 3]
+    u, v = lens[0] * right / far + lens[2], lens[1] * down / far + lens[3]
+    if far > _NEAR and u >= 0 and v >= 0 and u < np.float32(width) and v < np.float32(height):
+        return far, np.int32(v), np.int32(u)
+    return far, np.int32(-1), np.int32(-1)
+
+
 @njit(parallel=True, **_OPTIONS)
-def find_missing(points, wanted, open_parts, depths, poses, lenses, back, least, missing):
-    """Mark the ``wanted`` points that lie in ``least`` of the ``open_parts`` [v, h, w] of views or more, and in as many
-    as there are views which see something more than ``back`` behind them."""
+def count_missing(points, open_parts, depths, poses, lenses, back, least, surplus):
+    """How many more of the ``open_parts`` [v, h, w] a point lies in than there are views which see something more than
+    ``back`` behind it, and one; 0 where there are less than ``least`` of the former, or more of the latter."""
     height, width = open_parts.shape[1], open_parts.shape[2]
     for n in prange(points.shape[0]):
-        missing[n] = False
-        if not wanted[n]:
-            continue
-        x, y, z = points[n, 0], points[n, 1], points[n, 2]
         asking, through = 0, 0
         for i in range(open_parts.shape[0]):
-            far = poses[i, 2, 0] * x + poses[i, 2, 1] * y + poses[i, 2, 2] * z + poses[i, 2, 3]
-            right = poses[i, 0, 0] * x + poses[i, 0, 1] * y + poses[i, 0, 2] * z + poses[i, 0, 3]
-            down = poses[i, 1, 0] * x + poses[i, 1, 1] * y + poses[i, 1, 2] * z + poses[i, 1, 3]
-            u, v = lenses[i, 0] * right / far + lenses[i, 2], lenses[i, 1] * down / far + lenses[i, 3]
-            if far > _NEAR and u >= 0 and v >= 0 and u < np.float32(width) and v < np.float32(height):
-                row, column = np.int32(v), np.int32(u)
+            far, row, column = _pixel(points, n, poses[i], lenses[i], height, width)
+            if row >= 0:
                 asking += open_parts[i, row, column]
                 through += depths[i, row, column] > far + back
-        missing[n] = asking >= least and asking >= through
+        surplus[n] = asking - through + 1 if asking >= least and asking >= through else 0
+
+
+@njit(**_OPTIONS)
+def most_on_rays(points, surplus, open_part, pose, lens, most):
+    """Raise ``most`` [h, w], of one view, to the largest surplus of the points seen at each of its open pixels."""
+    height, width = open_part.shape
+    for n in range(points.shape[0]):
+        _, row, column = _pixel(points, n, pose, lens, height, width)
+        if row >= 0 and open_part[row, column]:
+            most[row, column] = max(most[row, column], surplus[n])
+
+
+@njit(parallel=True, **_OPTIONS)
+def choose_missing(points, surplus, open_parts, most, poses, lenses, share, least, chosen):
+    """Mark the points that have this ``share`` of the largest surplus, ``most`` [v, h, w], in ``least`` of the open
+    parts or more."""
+    height, width = open_parts.shape[1], open_parts.shape[2]
+    for n in prange(points.shape[0]):
+        leading = 0
+        for i in range(open_parts.shape[0]):
+            _, row, column = _pixel(points, n, poses[i], lenses[i], height, width)
+            if row >= 0 and open_parts[i, row, column]:
+                leading += np.float32(surplus[n]) >= share * np.float32(most[i, row, column])
+        chosen[n] = leading >= least

@@ -30,6 +30,8 @@ _LOWEST = np.float32(-_BACK / _FRONT)
 _SURE, _SURE_EMPTY = 30.0, 4.0
 """Confidence of all views together after which more does not make a cell surer: near a surface, whose place each view
 has a little wrong, and where they see through, in which a few are not wrong."""
+_SEEN_THROUGH = 0.1
+"""Weight from which on a cell that is empty by what views see behind it is not filled, whatever masks leave open."""
 _PRIOR = 0.05
 """Weight of the shape known before, relative to that of a cell that is sure."""
 _HIDING, _HIDDEN = 2, 0.5
@@ -52,15 +54,16 @@ def fuse(solid: Volume, maps: DepthMaps) -> Volume:
     before = np.clip(solid.values / unit, _LOWEST, 1)
     least = np.where(solid.values > 0, before, _LOWEST)
     # What no ray of a mask passes is outside; a little around it, for differences.
-    wanted, weights, _ = _told(solid, solid.values < unit, maps, before, np.float32(_PRIOR))
+    wanted, weights, known = _told(solid, solid.values < unit, maps, before, np.float32(_PRIOR))
     values = _smoothed(wanted, weights, least)
     views, depths, back = maps.views, maps.depths, _BACK * solid.cell
-    asked = missing(values < 0, solid, views, depths, back)
+    allowed = (solid.values < 0) & ~(known & (wanted >= 1) & (weights >= _SEEN_THROUGH))
+    asked = missing(values < 0, allowed, solid, views, depths, back)
     if asked.any():
         filled = np.where(asked, _LOWEST, wanted), np.where(asked, np.float32(1), weights)
         values = np.minimum(values, _smoothed(*filled, least))
         # Smoothing takes away what is thinner than two cells, whatever it weighs. The hull bounds it well.
-        values = np.where(missing(values < 0, solid, views, depths, back), _LOWEST, values)
+        values = np.where(missing(values < 0, allowed, solid, views, depths, back), _LOWEST, values)
     inside = _whole(values < 0)
     return solid.holding(signed_distance(inside, values * unit, solid.cell))
 

@@ -40,9 +40,15 @@ class Masked(Protocol):
 
 
 def missing(
-    full: Bool[np.ndarray, "x y z"], solid: Volume, views: Masked, depths: Float32[np.ndarray, "v h w"], back: float
+    full: Bool[np.ndarray, "x y z"],
+    allowed: Bool[np.ndarray, "x y z"],
+    volume: Volume,
+    views: Masked,
+    depths: Float32[np.ndarray, "v h w"],
+    back: float,
 ) -> Bool[np.ndarray, "x y z"]:
-    """Cells within ``solid`` that would cover what masks show and ``full`` leaves open: a hull of what is missing.
+    """The ``allowed`` cells of a volume that would cover what masks show and ``full`` leaves open: a hull of what is
+    missing. Of the volume, its values do not matter.
 
     Each ray of a mask meets the object. A place that lies in the open parts of three masks or more, and that no more
     views see through, may be what they show. A view sees through it if its depth lies more than ``back`` behind, in
@@ -50,7 +56,7 @@ def missing(
     for which four fifths as much speaks as for the best of their rays. Views that see the rim of an opening from the
     side would close it with a lid else.
     """
-    origin, cell = np.array(solid.origin, np.float32), np.float32(solid.cell)
+    origin, cell = np.array(volume.origin, np.float32), np.float32(volume.cell)
 
     def open_part(view: int) -> Bool[np.ndarray, "h w"]:
         inside = views.inside[view]
@@ -61,8 +67,8 @@ def missing(
         return _open_part(inside, nearest > 0)
 
     open_parts = np.array(in_threads(open_part, range(len(views.inside))), bool).reshape(views.inside.shape)
-    asked = np.flatnonzero((solid.values < 0) & ~full)
-    points, surplus = solid.points[asked], np.zeros(len(asked), np.int32)
+    asked = np.flatnonzero(allowed & ~full)
+    points, surplus = volume.points[asked], np.zeros(len(asked), np.int32)
     share_threads()
     ray_kernels.count_missing(points, open_parts, depths, views.poses, views.lenses, np.float32(back), _ASKING, surplus)
     asked, points, surplus = asked[surplus > 0], points[surplus > 0], surplus[surplus > 0]

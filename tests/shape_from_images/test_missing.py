@@ -62,20 +62,20 @@ def test_a_lost_rim_comes_back_without_a_lid(views: StereoViews, monkeypatch: py
     left, unknown = pot_up_to(TOP - 4 * solid.cell, solid), np.zeros(views.inside.shape, np.float32)
     across = from_radius(torch.from_numpy(solid.points))[0].numpy().reshape(solid.shape)
     lid = across < INNER - 3 * solid.cell
-    found = missing.missing(left, solid, views, unknown, 0.07)
+    found = missing.missing(left, solid.values < 0, solid, views, unknown, 0.07)
     assert (found & lost).sum() > 0.5 * lost.sum()
     assert (found & lid).sum() < 0.02 * lost.sum()
     monkeypatch.setattr(missing, "_LEADING", np.float32(0))
-    assert (missing.missing(left, solid, views, unknown, 0.07) & lid).sum() > 0.5 * lost.sum()
+    assert (missing.missing(left, solid.values < 0, solid, views, unknown, 0.07) & lid).sum() > 0.5 * lost.sum()
 
 
 def test_nothing_is_missing_where_all_is_covered(views: StereoViews) -> None:
     solid = sample(hull, (0.8, 0.8, 0.8), CELLS, CPU)
     unknown = np.zeros(views.inside.shape, np.float32)
-    assert not missing.missing(solid.values < solid.cell, solid, views, unknown, 0.07).any()
+    assert not missing.missing(solid.values < solid.cell, solid.values < 0, solid, views, unknown, 0.07).any()
 
 
 def test_what_more_views_see_through_is_left_open(views: StereoViews) -> None:
     solid = sample(hull, (0.8, 0.8, 0.8), CELLS, CPU)
     far = np.full(views.inside.shape, 100.0, np.float32)
-    assert not missing.missing(pot_up_to(TOP - 4 * solid.cell, solid), solid, views, far, 0.07).any()
+    assert not missing.missing(pot_up_to(TOP - 4 * solid.cell, solid), solid.values < 0, solid, views, far, 0.07).any()

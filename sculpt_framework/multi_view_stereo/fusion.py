@@ -31,7 +31,7 @@ _SURE, _SURE_EMPTY = 30.0, 4.0
 """Confidence of all views together after which more does not make a cell surer: near a surface, whose place each view
 has a little wrong, and where they see through, in which a few are not wrong."""
 _SEEN_THROUGH = 0.1
-"""Weight from which on a cell that is empty by what views see behind it is not filled, whatever masks leave open."""
+"""Weight from which on it is doubtful that a cell which is empty by what views see behind it is missing."""
 _PRIOR = 0.05
 """Weight of the shape known before, relative to that of a cell that is sure."""
 _HIDING, _HIDDEN = 2, 0.5
@@ -57,13 +57,13 @@ def fuse(solid: Volume, maps: DepthMaps) -> Volume:
     wanted, weights, known = _told(solid, solid.values < unit, maps, before, np.float32(_PRIOR))
     values = _smoothed(wanted, weights, least)
     views, depths, back = maps.views, maps.depths, _BACK * solid.cell
-    allowed = (solid.values < 0) & ~(known & (wanted >= 1) & (weights >= _SEEN_THROUGH))
-    asked = missing(values < 0, allowed, solid, views, depths, back)
+    doubtful = known & (wanted >= 1) & (weights >= _SEEN_THROUGH)
+    asked = missing(values < 0, solid, views, depths, back, doubtful)
     if asked.any():
         filled = np.where(asked, _LOWEST, wanted), np.where(asked, np.float32(1), weights)
         values = np.minimum(values, _smoothed(*filled, least))
         # Smoothing takes away what is thinner than two cells, whatever it weighs. The hull bounds it well.
-        values = np.where(missing(values < 0, allowed, solid, views, depths, back), _LOWEST, values)
+        values = np.where(missing(values < 0, solid, views, depths, back, doubtful), _LOWEST, values)
     inside = _whole(values < 0)
     return solid.holding(signed_distance(inside, values * unit, solid.cell))
 

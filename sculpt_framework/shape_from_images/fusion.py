@@ -59,7 +59,7 @@ def carve(solid: Volume, views: PackedViews, maps: DepthMaps, margin: float) -> 
     _add_up(solid, sums.seen_through.copy(), left, views, maps, telling, sums)
     carved = _without_pits(solid, hull, sums, margin)
     narrow = round(_grains(solid))
-    open_parts = missing(carved < 0, solid.values < 0, solid, views, maps.depths, _THIN * narrow * solid.cell)
+    open_parts = missing(carved < 0, solid, views, maps.depths, _THIN * narrow * solid.cell)
     carved = np.where(open_parts, solid.values, carved)
     inside = _one_piece(carved < 0, hull, narrow)
     return solid.holding(signed_distance(inside, carved, solid.cell))

@@ -41,22 +41,23 @@ class Masked(Protocol):
 
 def missing(
     full: Bool[np.ndarray, "x y z"],
-    allowed: Bool[np.ndarray, "x y z"],
-    volume: Volume,
+    solid: Volume,
     views: Masked,
     depths: Float32[np.ndarray, "v h w"],
     back: float,
+    doubtful: Bool[np.ndarray, "x y z"] | None = None,
 ) -> Bool[np.ndarray, "x y z"]:
-    """The ``allowed`` cells of a volume that would cover what masks show and ``full`` leaves open: a hull of what is
-    missing. Of the volume, its values do not matter.
+    """Cells within ``solid`` that would cover what masks show and ``full`` leaves open: a hull of what is missing.
 
     Each ray of a mask meets the object. A place that lies in the open parts of three masks or more, and that no more
-    views see through, may be what they show. A view sees through it if its depth lies more than ``back`` behind, in
-    object units; depths that are 0 or not a number are not known. One place is enough for a ray: only those are taken
-    for which four fifths as much speaks as for the best of their rays. Views that see the rim of an opening from the
-    side would close it with a lid else.
+    views see through, is what they show. A view sees through it if its depth lies more than ``back`` behind, in object
+    units; depths that are 0 or not a number are not known.
+
+    Views that see the rim of an opening from the side would close it with a lid so. Where it is known which cells are
+    ``doubtful``, for which what speaks counts half, a ray takes no more than the best of its cells: one is enough to
+    explain it.
     """
-    origin, cell = np.array(volume.origin, np.float32), np.float32(volume.cell)
+    origin, cell = np.array(solid.origin, np.float32), np.float32(solid.cell)
 
     def open_part(view: int) -> Bool[np.ndarray, "h w"]:
         inside = views.inside[view]
@@ -67,11 +68,28 @@ def missing(
         return _open_part(inside, nearest > 0)
 
     open_parts = np.array(in_threads(open_part, range(len(views.inside))), bool).reshape(views.inside.shape)
-    asked = np.flatnonzero(allowed & ~full)
-    points, surplus = volume.points[asked], np.zeros(len(asked), np.int32)
+    asked = np.flatnonzero((solid.values < 0) & ~full)
+    points, surplus = solid.points[asked], np.zeros(len(asked), np.int32)
     share_threads()
     ray_kernels.count_missing(points, open_parts, depths, views.poses, views.lenses, np.float32(back), _ASKING, surplus)
     asked, points, surplus = asked[surplus > 0], points[surplus > 0], surplus[surplus > 0]
+    if doubtful is not None:
+        # Rounded up, so that a doubtful cell is still better than none.
+        surplus -= np.where(doubtful.reshape(-1)[asked], surplus // 2, 0).astype(np.int32)
+        asked = asked[_leading(points, surplus, open_parts, views, cell)]
+    found = np.zeros(full.size, bool)
+    found[asked] = True
+    return found.reshape(full.shape)
+
+
+def _leading(
+    points: Float32[np.ndarray, "n 3"],
+    surplus: Int32[np.ndarray, " n"],
+    open_parts: Bool[np.ndarray, "v h w"],
+    views: Masked,
+    cell: np.float32,
+) -> Bool[np.ndarray, " n"]:
+    """Which points have four fifths of the largest surplus on rays of open parts, in three views or more."""
 
     def most_on_rays(view: int) -> Int32[np.ndarray, "h w"]:
         most = np.zeros(open_parts.shape[1:], np.int32)
@@ -79,12 +97,10 @@ def missing(
         return _largest_around(most, float(cell * views.lenses[view, 0] / np.linalg.norm(views.positions[view])))
 
     most = np.array(in_threads(most_on_rays, range(len(open_parts))), np.int32).reshape(open_parts.shape)
-    chosen = np.zeros(len(asked), bool)
+    chosen = np.zeros(len(points), bool)
     share_threads()
     ray_kernels.choose_missing(points, surplus, open_parts, most, views.poses, views.lenses, _LEADING, _ASKING, chosen)
-    found = np.zeros(full.size, bool)
-    found[asked[chosen]] = True
-    return found.reshape(full.shape)
+    return chosen
 
 
 def _largest_around(values: Int32[np.ndarray, "h w"], cell: float) -> Int32[np.ndarray, "h w"]:

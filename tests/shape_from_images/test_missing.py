@@ -10,7 +10,7 @@ import trimesh
 from sculpt_framework.demo_scenes.cameras import demo_cameras
 from sculpt_framework.export.mesh_pixels import draw_mesh
 from sculpt_framework.multi_view_stereo.stereo_views import StereoViews, stereo_views
-from sculpt_framework.shape_from_images import missing
+from sculpt_framework.shape_from_images.missing import missing
 from sculpt_framework.shape_from_images.volume import Volume, sample
 from sculpt_framework.types import Camera, View
 
@@ -55,27 +55,26 @@ def pot_up_to(top: float, solid: Volume) -> np.ndarray:
     return ((wall | ((across < OUTER) & (up < 0.2 - TOP) & (up > -TOP))) & (up < top)).numpy().reshape(solid.shape)
 
 
-def test_a_lost_rim_comes_back_without_a_lid(views: StereoViews, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_lost_rim_comes_back_without_a_lid(views: StereoViews) -> None:
     """From the side, the rim's open part is a strip, and the whole disk behind it would explain that, too."""
     solid = sample(hull, (0.8, 0.8, 0.8), CELLS, CPU)
     lost = pot_up_to(1.0, solid) & ~pot_up_to(TOP - 4 * solid.cell, solid)
     left, unknown = pot_up_to(TOP - 4 * solid.cell, solid), np.zeros(views.inside.shape, np.float32)
     across = from_radius(torch.from_numpy(solid.points))[0].numpy().reshape(solid.shape)
     lid = across < INNER - 3 * solid.cell
-    found = missing.missing(left, solid.values < 0, solid, views, unknown, 0.07)
+    found = missing(left, solid, views, unknown, 0.07, np.zeros(solid.shape, bool))
     assert (found & lost).sum() > 0.5 * lost.sum()
     assert (found & lid).sum() < 0.02 * lost.sum()
-    monkeypatch.setattr(missing, "_LEADING", np.float32(0))
-    assert (missing.missing(left, solid.values < 0, solid, views, unknown, 0.07) & lid).sum() > 0.5 * lost.sum()
+    assert (missing(left, solid, views, unknown, 0.07) & lid).sum() > 0.5 * lost.sum()
 
 
 def test_nothing_is_missing_where_all_is_covered(views: StereoViews) -> None:
     solid = sample(hull, (0.8, 0.8, 0.8), CELLS, CPU)
     unknown = np.zeros(views.inside.shape, np.float32)
-    assert not missing.missing(solid.values < solid.cell, solid.values < 0, solid, views, unknown, 0.07).any()
+    assert not missing(solid.values < solid.cell, solid, views, unknown, 0.07).any()
 
 
 def test_what_more_views_see_through_is_left_open(views: StereoViews) -> None:
     solid = sample(hull, (0.8, 0.8, 0.8), CELLS, CPU)
     far = np.full(views.inside.shape, 100.0, np.float32)
-    assert not missing.missing(pot_up_to(TOP - 4 * solid.cell, solid), solid.values < 0, solid, views, far, 0.07).any()
+    assert not missing(pot_up_to(TOP - 4 * solid.cell, solid), solid, views, far, 0.07).any()

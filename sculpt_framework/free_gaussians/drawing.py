@@ -4,14 +4,18 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from jaxtyping import Float
+from scipy.spatial import KDTree
 from torch import Tensor
 
+from sculpt_framework.evaluation.mesh import Mesh
 from sculpt_framework.losses import Target, TrainingImage
 from sculpt_framework.rasterizers import Rasterizer
 from sculpt_framework.rendering.photometric import l1_dssim
-from sculpt_framework.types import Camera, Gaussians, Rendering
+from sculpt_framework.rendering.spherical_harmonics import sh_to_rgb
+from sculpt_framework.types import Box, Camera, Gaussians, Rendering
 
 Terms = dict[str, Float[Tensor, ""]]
 
@@ -62,3 +66,12 @@ class Splatting(Drawing):
 @torch.no_grad()
 def on_white(drawing: Drawing, gaussians: Gaussians, camera: Camera) -> Rendering:
     return drawing.draw(gaussians, camera, torch.ones(3, device=gaussians.means.device))
+
+
+@torch.no_grad()
+def colors_of_nearest(gaussians: Gaussians, box: Box, mesh: Mesh) -> Float[np.ndarray, "v 3"]:
+    """Of a mesh's vertices, those of the nearest Gaussians, without what changes with the view."""
+    points = box.to_object(torch.from_numpy(mesh.vertices)).numpy()
+    nearest = KDTree(gaussians.means.cpu().numpy()).query(points)[1]
+    rgb = sh_to_rgb(gaussians.sh[:, :1], gaussians.means, torch.zeros_like(gaussians.means[0])).clamp(0, 1)
+    return rgb.cpu().numpy()[nearest]

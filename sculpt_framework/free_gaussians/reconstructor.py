@@ -1,34 +1,30 @@
 """Free Gaussians as a session hosts them."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from jaxtyping import Float
-from scipy.spatial import KDTree
 from torch import Tensor
 
 from sculpt_framework.evaluation.extracted import world_mesh
 from sculpt_framework.evaluation.mesh import Mesh
-from sculpt_framework.export.gaussian_files import write_gaussians_ply
-from sculpt_framework.export.saved_gaussians import GAUSSIANS_NAME, saved_gaussians
+from sculpt_framework.export.saved_gaussians import save_gaussians, saved_gaussians
 from sculpt_framework.free_gaussians.config import FreeGaussiansConfig
-from sculpt_framework.free_gaussians.drawing import Lesson, on_white
+from sculpt_framework.free_gaussians.drawing import Lesson, colors_of_nearest, on_white
 from sculpt_framework.free_gaussians.splats import Splats
 from sculpt_framework.geometry.grid import grid_over_box
 from sculpt_framework.losses import TrainingImage
 from sculpt_framework.posed_images.training_images import prepare_images
 from sculpt_framework.reconstructor import Host, Moment, Reconstructor, StepReport
-from sculpt_framework.rendering.spherical_harmonics import sh_to_rgb
 from sculpt_framework.shape_from_images.tsdf import fuse_renderings, surface_of
 from sculpt_framework.types import Camera, Rendering, Scene
 
 _FUSED = 40
 """Training views whose depths are fused to a mesh, spread evenly over all."""
-_LAST_MEANS_RATE = 0.01
+LAST_MEANS_RATE = 0.01
 """Of the means, the share that their learning rate ends at (3DGS, program)."""
 
 
@@ -76,7 +72,7 @@ class FreeGaussiansReconstructor(Reconstructor):
         loss.backward()
         splats.check_slopes()
         splats.note(image.camera)
-        splats.step(moment.rate, moment.rate * _LAST_MEANS_RATE**moment.progress)
+        splats.step(moment.rate, moment.rate * LAST_MEANS_RATE**moment.progress)
         self._taken += 1
         self._mesh = None
         density = config.density
@@ -118,12 +114,7 @@ class FreeGaussiansReconstructor(Reconstructor):
 
     @torch.no_grad()
     def colors(self) -> Float[np.ndarray, "v 3"]:
-        """Those of the nearest Gaussians, without what changes with the view."""
-        gaussians, mesh = self._splats.gaussians(1), self.mesh()
-        points = self._box.to_object(torch.from_numpy(mesh.vertices)).numpy()
-        nearest = KDTree(gaussians.means.cpu().numpy()).query(points)[1]
-        rgb = sh_to_rgb(gaussians.sh, gaussians.means, torch.zeros(3, device=self._device)).clamp(0, 1)
-        return rgb.cpu().numpy()[nearest]
+        return colors_of_nearest(self._splats.gaussians(1), self._box, self.mesh())
 
     @torch.no_grad()
     def render(self, camera: Camera) -> Rendering:
@@ -135,11 +126,7 @@ class FreeGaussiansReconstructor(Reconstructor):
 
     @torch.no_grad()
     def save(self, folder: Path) -> dict[str, Path]:
-        gaussians = self._splats.gaussians(self._bands)
-        means = self._box.to_world(gaussians.means.double()).float()
-        path = folder / GAUSSIANS_NAME
-        write_gaussians_ply(path, replace(gaussians, means=means, scales=gaussians.scales * self._box.scale))
-        return {"gaussians": path}
+        return {"gaussians": save_gaussians(self._splats.gaussians(self._bands), self._box, folder)}
 
     # -- state ---------------------------------------------------------------------------------------------------
 

@@ -1,7 +1,8 @@
 """Free Gaussians as parameters, and how they multiply (3DGS: Kerbl et al. 2023)."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float, Int64
@@ -24,6 +25,16 @@ _FLAT = 1e-6
 _NEIGHBOURS = 3
 """To begin with, a Gaussian is as large as these are far."""
 _ORDER = ("means", "log_scales", "quaternions", "logits", "constant", "rest")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Worth:
+    """What decides of Gaussians' number in place of what they have themselves."""
+
+    opacities: Float[Tensor, " g"]
+    """In place of their own."""
+    pull: Float[Tensor, " g"]
+    """Added to the mean pull in the image, in half images."""
 
 
 class Splats:
@@ -145,14 +156,21 @@ class Splats:
         return splats
 
     @torch.no_grad()
-    def renewed(self, config: DensityConfig, generator: torch.Generator) -> "Splats":
+    def renewed(
+        self, config: DensityConfig, generator: torch.Generator, worth: "Callable[[Gaussians], Worth] | None" = None
+    ) -> "Splats":
         """What is left of them, and what is added: those that the images pull at are cloned where they are small, and
-        split in two where they are large; what is nearly clear is dropped (3DGS, 5.2).
+        split in two where they are large; what is nearly clear is dropped (3DGS, 5.2). ``worth`` says otherwise what
+        each is worth.
 
         Raises EmptySurfaceError if none would be left.
         """
         mean = self.pull / self.shown.clamp(min=1)
-        opaque = self.parameters["logits"].sigmoid() >= config.least_opacity
+        if worth is None:
+            opaque = self.parameters["logits"].sigmoid() >= config.least_opacity
+        else:
+            said = worth(self.gaussians(1))
+            opaque, mean = said.opacities >= config.least_opacity, mean + said.pull
         wanted = opaque & (mean >= config.gradient)
         if room := max(0, config.most - len(self)):
             # The strongest first, where there is not room for all.

@@ -12,6 +12,7 @@ from sculpt_framework.ranges import above, at_least, between
 if TYPE_CHECKING:
     from sculpt_framework.reconstructor import Host, Reconstructor
     from sculpt_framework.types import Camera, Rendering, Scene
+    from sculpt_framework.volume_rendering.logistic import LogisticVolume
     from sculpt_framework.volume_rendering.volume import Volume
 
 
@@ -76,3 +77,18 @@ class SdfVolumeConfig(VolumeConfig, ABC):
     field: FieldConfig
     eikonal_weight: Annotated[float, at_least(0)] = 0.1
     """Factor of the mean squared difference of the field's slope from 1."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LogisticVolumeConfig(SdfVolumeConfig, ABC):
+    """One whose opacity is how far a logistic function of the distance falls along a stretch (NeuS)."""
+
+    sharpness: Annotated[float, above(0)] = 20.0
+    """Of the logistic function, to begin with, per object unit: the paper's 1/s. It is learned."""
+    sharpness_rate: Annotated[float, at_least(0)] = 1e-3
+    """Learning rate of a tenth of its logarithm."""
+
+    def build_volume(self) -> "LogisticVolume":
+        from sculpt_framework.volume_rendering.logistic import LogisticVolume
+
+        return LogisticVolume(self)

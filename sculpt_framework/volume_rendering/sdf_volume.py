@@ -47,8 +47,7 @@ class SdfVolume(Volume):
         points = 2 * torch.rand(_EIKONAL_POINTS, 3, generator=generator).to(device) - 1
         if len(stretches):
             chosen = torch.randint(len(stretches), (_EIKONAL_POINTS,), generator=generator).to(device)
-            middle = stretches.begin[chosen] + 0.5 * stretches.step
-            points = torch.cat([points, stretches.at(rays, stretches.ray[chosen], middle)])
+            points = torch.cat([points, stretches.at(rays, stretches.ray[chosen], stretches.middle[chosen])])
         return {"eikonal": self._eikonal_weight * eikonal(slopes(self.field, points, self._spacing))}
 
 

@@ -12,7 +12,7 @@ def stretches(counts: list[int]) -> Stretches:
     number = torch.tensor(counts)
     ray = torch.repeat_interleave(torch.arange(len(counts)), number)
     offsets = torch.cat([number.new_zeros(1), number.cumsum(0)])
-    return Stretches(ray=ray, begin=torch.zeros(len(ray)), step=1.0, offsets=offsets)
+    return Stretches(ray=ray, begin=torch.zeros(len(ray)), length=torch.ones(len(ray)), offsets=offsets)
 
 
 def rays_at_random(count: int, dtype: torch.dtype) -> Rays:

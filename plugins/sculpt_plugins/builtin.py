@@ -71,6 +71,8 @@ METHODS: dict[str, str] = {
     "gaussian-sculpting-everything": "sculpt_methods.everything:gaussian_sculpting_everything",
     "gaussian-sculpting-paper": "sculpt_methods.paper:gaussian_sculpting_paper",
     "gaussian-sculpting-tiny": "sculpt_methods.sculpting:gaussian_sculpting_tiny",
+    "3dgsr": "sculpt_methods.guided:gaussians_3dgsr",
+    "gsdf": "sculpt_methods.guided:gsdf",
     "nerf": "sculpt_methods.volume_rendered:nerf",
     "neus": "sculpt_methods.volume_rendered:neus",
     "pgsr": "sculpt_methods.splatting:pgsr",

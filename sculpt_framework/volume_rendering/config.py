@@ -12,7 +12,6 @@ from sculpt_framework.ranges import above, at_least, between
 if TYPE_CHECKING:
     from sculpt_framework.reconstructor import Host, Reconstructor
     from sculpt_framework.types import Camera, Rendering, Scene
-    from sculpt_framework.volume_rendering.logistic import LogisticVolume
     from sculpt_framework.volume_rendering.volume import Volume
 
 
@@ -71,6 +70,16 @@ class VolumeConfig(MethodConfig, ABC):
 
 
 @dataclass(frozen=True, kw_only=True)
+class SdfShape:
+    """What a volume of a signed distance field is made of."""
+
+    field: FieldConfig
+    radiance: RadianceConfig
+    eikonal_weight: float
+    mesh_cells: int
+
+
+@dataclass(frozen=True, kw_only=True)
 class SdfVolumeConfig(VolumeConfig, ABC):
     """A volume whose shape is a signed distance field."""
 
@@ -78,17 +87,11 @@ class SdfVolumeConfig(VolumeConfig, ABC):
     eikonal_weight: Annotated[float, at_least(0)] = 0.1
     """Factor of the mean squared difference of the field's slope from 1."""
 
-
-@dataclass(frozen=True, kw_only=True)
-class LogisticVolumeConfig(SdfVolumeConfig, ABC):
-    """One whose opacity is how far a logistic function of the distance falls along a stretch (NeuS)."""
-
-    sharpness: Annotated[float, above(0)] = 20.0
-    """Of the logistic function, to begin with, per object unit: the paper's 1/s. It is learned."""
-    sharpness_rate: Annotated[float, at_least(0)] = 1e-3
-    """Learning rate of a tenth of its logarithm."""
-
-    def build_volume(self) -> "LogisticVolume":
-        from sculpt_framework.volume_rendering.logistic import LogisticVolume
-
-        return LogisticVolume(self)
+    @property
+    def shape(self) -> SdfShape:
+        return SdfShape(
+            field=self.field,
+            radiance=self.radiance,
+            eikonal_weight=self.eikonal_weight,
+            mesh_cells=self.mesh_cells,
+        )

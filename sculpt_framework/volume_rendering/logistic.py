@@ -10,17 +10,17 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from sculpt_framework.parameters import ParameterGroup
-from sculpt_framework.volume_rendering.config import LogisticVolumeConfig
+from sculpt_framework.volume_rendering.config import SdfShape
 from sculpt_framework.volume_rendering.sdf_volume import SdfVolume, nearest
 from sculpt_framework.volume_rendering.stretches import Rays, Stretches
 from sculpt_framework.volume_rendering.volume import DARK
 
 
 class LogisticVolume(SdfVolume):
-    def __init__(self, config: LogisticVolumeConfig):
-        super().__init__(config)
-        self._rate = config.sharpness_rate
-        self._tenth = nn.Parameter(torch.tensor(0.1 * math.log(config.sharpness)))
+    def __init__(self, shape: SdfShape, sharpness: float, sharpness_rate: float):
+        super().__init__(shape)
+        self._rate = sharpness_rate
+        self._tenth = nn.Parameter(torch.tensor(0.1 * math.log(sharpness)))
         """Of the logarithm of the sharpness, as NeuS' program learns it."""
 
     @property

@@ -50,7 +50,7 @@ class VolumeReconstructor(Reconstructor):
         self._generator = torch.Generator().manual_seed(config.seed)
         self._volume = built_by_seed(config.build_volume, config.seed).to(self._device)
         self._optimizer = Adam(list(self._volume.parameter_groups()), betas=(0.9, 0.99))
-        self._occupancy = occupancy_of(config, scene.box, self._device)
+        self._occupancy = occupancy_of(config.cells, scene.box, self._device)
         self._grid = grid_over_box(scene.box.half_sides.float(), config.mesh_cells >> LEVEL, LEVEL)
         self._step = 2.0 / config.steps_across
         self._pixels: Pixels | None = None
@@ -180,7 +180,7 @@ def draw_volume(
 def draw_saved_volume(config: VolumeConfig, folder: Path, scene: Scene) -> Callable[[Camera], Rendering]:
     """Of a finished run. Raises CheckpointError if the run has not left its volume."""
     path, device = folder / FILE_NAME, pick_device(config.device)
-    volume, occupancy = built_by_seed(config.build_volume, config.seed), occupancy_of(config, scene.box, device)
+    volume, occupancy = built_by_seed(config.build_volume, config.seed), occupancy_of(config.cells, scene.box, device)
     try:
         kept = load_file(path)
         occupancy.opacity = kept.pop("opacity").to(device)
@@ -210,6 +210,6 @@ def require_masks(method: str, views: Sequence[View]) -> None:
         )
 
 
-def occupancy_of(config: VolumeConfig, box: Box, device: torch.device) -> Occupancy:
+def occupancy_of(cells: int, box: Box, device: torch.device) -> Occupancy:
     """All of the box occupied."""
-    return Occupancy(box.half_sides.float(), config.cells, device)
+    return Occupancy(box.half_sides.float(), cells, device)

@@ -68,6 +68,12 @@ class Stretches:
         origins, directions = rays.origins.index_select(0, ray), rays.directions.index_select(0, ray)
         return origins + distance[:, None] * directions
 
+    def but_of(self, left_out: Bool[Tensor, " r"]) -> "Stretches":
+        """Without those of some rays."""
+        kept = ~left_out[self.ray]
+        counts = torch.where(left_out, 0, self.offsets.diff())
+        return Stretches(ray=self.ray[kept], begin=self.begin[kept], length=self.length[kept], offsets=_offsets(counts))
+
     @property
     def goes_on(self) -> Bool[Tensor, " n"]:
         """Whether the next stretch begins where this one ends."""

@@ -18,7 +18,7 @@ class VolsdfVolume(SdfVolume):
     """The paper bounds the error of its sampling; here steps are of one length, and occupied cells alone are passed."""
 
     def __init__(self, config: VolsdfConfig):
-        super().__init__(config)
+        super().__init__(config.shape)
         self._rate, self._least = config.beta_rate, config.least_beta
         self._log_beta = nn.Parameter(torch.tensor(math.log(config.beta)))
 

@@ -76,6 +76,7 @@ METHODS: dict[str, str] = {
     "nerf": "sculpt_methods.volume_rendered:nerf",
     "neus": "sculpt_methods.volume_rendered:neus",
     "pgsr": "sculpt_methods.splatting:pgsr",
+    "relightable": "sculpt_methods.splatting:relightable",
     "splatting-2d": "sculpt_methods.splatting:splatting_2d",
     "splatting-3d": "sculpt_methods.splatting:splatting_3d",
     "volsdf": "sculpt_methods.volume_rendered:volsdf",

@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from sculpt_framework.adam import Adam
 from sculpt_framework.evaluation.extracted import world_mesh
 from sculpt_framework.evaluation.mesh import Mesh
 from sculpt_framework.export.saved_gaussians import save_gaussians, saved_gaussians
@@ -41,9 +42,12 @@ class FreeGaussiansReconstructor(Reconstructor):
         self._order: list[int] = []
         """Views that are still to come before each has been looked at again."""
         half_sides = scene.box.half_sides.to(self._device)
-        self._splats = Splats.at_random(
+        start = Splats.at_random(
             half_sides, config.gaussians, config.sh_degree, config.rates, self._generator, flat=config.flat
         )
+        self._splats = start.owning(self._drawing.own_values(start.gaussians(1)), self._drawing.own_rates())
+        self._shared = Adam(self._drawing.parameter_groups())
+        """Of what is learned beside the Gaussians."""
         self._taken = 0
         self._mesh: Mesh | None = None
         self._faces = 0
@@ -63,15 +67,18 @@ class FreeGaussiansReconstructor(Reconstructor):
             target=image.over(background),
             progress=moment.progress,
             generator=self._generator,
+            own=splats.own,
         )
         terms = self._drawing.terms(splats.gaussians(self._bands), lesson)
         loss = torch.stack(list(terms.values())).sum()
         if not torch.isfinite(loss):
             raise FloatingPointError(f"the loss is {float(loss.detach())}")
         splats.zero_grad()
+        self._shared.zero_grad()
         loss.backward()
         splats.check_slopes()
         splats.note(image.camera)
+        self._shared.step(moment.rate)
         splats.step(moment.rate, moment.rate * LAST_MEANS_RATE**moment.progress)
         self._taken += 1
         self._mesh = None
@@ -137,14 +144,23 @@ class FreeGaussiansReconstructor(Reconstructor):
             "random": self._generator.get_state(),
             "faces": torch.tensor(self._faces),
         }
-        return {name: value.detach().clone().contiguous() for name, value in (self._splats.state() | own).items()}
+        shared = {f"shared/{place}": value for place, value in enumerate(self._shared.parameters)}
+        shared |= {f"shared_optimizer/{name}": value for name, value in self._shared.state().items()}
+        every = self._splats.state() | shared | own
+        return {name: value.detach().clone().contiguous() for name, value in every.items()}
 
     def load_state(self, state: Mapping[str, Tensor]) -> None:
         self._taken, self._order = int(state["taken"]), state["order"].tolist()
         self._generator.set_state(state["random"].clone())
         own = ("taken", "order", "random", "faces")
-        splats = {name: value.to(self._device) for name, value in state.items() if name not in own}
-        self._splats = Splats.of_state(splats, self._config.rates)
+        splats = {name: value.to(self._device) for name, value in state.items() if name not in own and "/" not in name}
+        self._splats = Splats.of_state(splats, self._config.rates, self._drawing.own_rates())
+        with torch.no_grad():
+            for place, parameter in enumerate(self._shared.parameters):
+                parameter.copy_(state[f"shared/{place}"])
+        prefix = "shared_optimizer/"
+        moments = {name.removeprefix(prefix): value for name, value in state.items() if name.startswith(prefix)}
+        self._shared.load_state(moments)
         self._mesh, self._faces = None, int(state["faces"])
 
 

@@ -24,7 +24,6 @@ _FLAT = 1e-6
 """Object units: the thickness of a disk."""
 _NEIGHBOURS = 3
 """To begin with, a Gaussian is as large as these are far."""
-_ORDER = ("means", "log_scales", "quaternions", "logits", "constant", "rest")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -40,7 +39,10 @@ class Worth:
 class Splats:
     """Parameters of any number of Gaussians in the object frame, their optimiser, and what decides of their number."""
 
-    def __init__(self, values: Mapping[str, Tensor], rates: GaussianRates):
+    def __init__(
+        self, values: Mapping[str, Tensor], rates: GaussianRates, own_rates: Mapping[str, float] | None = None
+    ):
+        """``own_rates`` are the learning rates, by name, of what each learns beside 3DGS."""
         rate = {
             "means": rates.means,
             "log_scales": rates.scales,
@@ -49,9 +51,10 @@ class Splats:
             "constant": rates.colors,
             "rest": rates.colors / 20,
         }
-        self._rates = rates
-        self.parameters = {name: nn.Parameter(values[name].detach().clone()) for name in _ORDER}
-        groups = [ParameterGroup(parameters=[self.parameters[name]], rate=rate[name]) for name in _ORDER]
+        self._rates, self._own_rates = rates, dict(own_rates or {})
+        rate |= self._own_rates
+        self.parameters = {name: nn.Parameter(values[name].detach().clone()) for name in rate}
+        groups = [ParameterGroup(parameters=[self.parameters[name]], rate=rate[name]) for name in rate]
         # The means have a rate that falls by itself, and so an optimiser of their own.
         self.means_optimizer, self.optimizer = Adam(groups[:1]), Adam(groups[1:])
         self.pull = torch.zeros(len(self), device=self.means.device)
@@ -93,6 +96,15 @@ class Splats:
     @property
     def means(self) -> nn.Parameter:
         return self.parameters["means"]
+
+    @property
+    def own(self) -> Mapping[str, Tensor]:
+        """What each learns beside 3DGS."""
+        return {name: self.parameters[name] for name in self._own_rates}
+
+    def owning(self, values: Mapping[str, Tensor], rates: Mapping[str, float]) -> "Splats":
+        """The same, to begin with, where each learns these as well."""
+        return Splats({**self.parameters, **values}, self._rates, rates)
 
     def gaussians(self, bands: int) -> Gaussians:
         """With so many coefficients of the harmonics."""
@@ -148,8 +160,10 @@ class Splats:
         return values | {"pull": self.pull, "shown": self.shown}
 
     @staticmethod
-    def of_state(state: Mapping[str, Tensor], rates: GaussianRates) -> "Splats":
-        splats = Splats(state, rates)
+    def of_state(
+        state: Mapping[str, Tensor], rates: GaussianRates, own_rates: Mapping[str, float] | None = None
+    ) -> "Splats":
+        splats = Splats(state, rates, own_rates)
         splats.means_optimizer.load_state(_part(state, "means_optimizer."))
         splats.optimizer.load_state(_part(state, "optimizer."))
         splats.pull, splats.shown = state["pull"].clone(), state["shown"].clone()
@@ -193,7 +207,7 @@ class Splats:
             offset = torch.einsum("gij,gj->gi", turned, noise * scales[rows[-halves:]])
             values["means"][-halves:] += offset
             values["log_scales"][-halves:] -= torch.tensor(_SPLIT).log()
-        splats = Splats(values, self._rates)
+        splats = Splats(values, self._rates, self._own_rates)
         fresh = torch.arange(len(rows), device=rows.device) >= int(kept.sum())
         splats.means_optimizer.load_state(_rows(self.means_optimizer.state(), rows, fresh))
         splats.optimizer.load_state(_rows(self.optimizer.state(), rows, fresh))

@@ -124,7 +124,8 @@ class GuidedGaussiansReconstructor(Reconstructor):
         assert alpha is not None  # noqa: S101
         assert drawn.normal is not None  # noqa: S101
         count = camera.width * camera.height
-        number = torch.randint(count, (self._config.rays.number,), generator=self._generator).to(self._device)
+        # None twice: what the drawing learns from one pixel would be added up in whatever order threads come.
+        number = torch.randperm(count, generator=self._generator)[: self._config.rays.number].to(self._device)
         rays = rays_at(camera, number)
         # Of the camera's own z, distances along rays.
         ahead = rays.directions @ camera.world_to_camera[2, :3]

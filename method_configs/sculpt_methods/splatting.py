@@ -4,6 +4,7 @@ from sculpt_framework.free_gaussians.config import DensityConfig, GaussianRates
 from sculpt_plugins.datasets.auto.config import AutoDatasetConfig
 from sculpt_plugins.extractors.marching_tetrahedra.config import MarchingTetrahedraConfig
 from sculpt_plugins.methods.pgsr.config import PgsrConfig
+from sculpt_plugins.methods.relightable.config import MaterialRates, RelightableConfig
 from sculpt_plugins.methods.splatting_2d.config import Splatting2dConfig
 from sculpt_plugins.methods.splatting_3d.config import Splatting3dConfig
 from sculpt_plugins.observers.console.config import ConsoleConfig
@@ -78,6 +79,38 @@ def pgsr() -> PgsrConfig:
         single_view=0.015,  # 5, lambda_2
         photometric=0.15,  # 5, lambda_3
         geometric=0.03,  # 5, lambda_4
+        rasterizer=like.rasterizer,
+        extractor=like.extractor,
+        dataset=like.dataset,
+        observers=like.observers,
+    )
+
+
+def relightable() -> RelightableConfig:
+    """Relightable 3D Gaussian, a twentieth of the paper's steps; its mesh is fused from rendered depths."""
+    like = splatting_3d()
+    return RelightableConfig(
+        method="relightable",
+        steps=like.steps,
+        gaussians=like.gaussians,
+        sh_degree=like.sh_degree,
+        sh_every=like.sh_every,
+        dssim=like.dssim,
+        density=like.density,  # the paper's also takes gradients by the normals
+        rates=like.rates,
+        normal=0.01,  # program: lambda_normal_render_depth
+        spread=0.01,  # program: lambda_depth_var
+        mask=0.1,  # program: lambda_mask_entropy
+        materials_from=0.75,  # program: step 30 000 of 40 000
+        shaded=1.0,  # program: lambda_pbr
+        white=0.01,  # program: lambda_light
+        material_rates=MaterialRates(
+            normals=1e-2,  # program
+            albedo=1e-2,  # program
+            roughness=1e-2,  # program
+            visibility=2.5e-3,  # program
+            light=1e-2,  # program: 0.1 and 1e-3, of the constant harmonic and of the others
+        ),
         rasterizer=like.rasterizer,
         extractor=like.extractor,
         dataset=like.dataset,

@@ -9,7 +9,7 @@ import torch
 from sculpt_framework.config import MethodConfig, RasterizerConfig
 from sculpt_framework.device import pick_device
 from sculpt_framework.errors import CheckpointError
-from sculpt_framework.export.gaussian_files import read_gaussians_ply
+from sculpt_framework.export.gaussian_files import read_gaussians_ply, write_gaussians_ply
 from sculpt_framework.rasterizers import Rasterizer
 from sculpt_framework.types import Box, Camera, Gaussians, Rendering, Scene
 
@@ -32,6 +32,14 @@ def draw_saved_gaussians(
     device = pick_device(config.device)
     gaussians, built = saved_gaussians(folder, scene.box).to(device), rasterizer.build(device)
     return lambda camera: draw_gaussians(built, gaussians, scene.box, camera, low_pass_px2, device)
+
+
+@torch.no_grad()
+def save_gaussians(gaussians: Gaussians, box: Box, folder: Path) -> Path:
+    """Those in the object frame of ``box``, for ``saved_gaussians``."""
+    means, path = box.to_world(gaussians.means.double()).float(), folder / GAUSSIANS_NAME
+    write_gaussians_ply(path, replace(gaussians, means=means, scales=gaussians.scales * box.scale))
+    return path
 
 
 def saved_gaussians(folder: Path, box: Box) -> Gaussians:

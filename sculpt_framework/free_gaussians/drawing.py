@@ -1,17 +1,22 @@
 """How a method draws its Gaussians, and what it learns from a drawing."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
+import numpy as np
 import torch
 from jaxtyping import Float
+from scipy.spatial import KDTree
 from torch import Tensor
 
+from sculpt_framework.evaluation.mesh import Mesh
 from sculpt_framework.losses import Target, TrainingImage
+from sculpt_framework.parameters import ParameterGroup
 from sculpt_framework.rasterizers import Rasterizer
 from sculpt_framework.rendering.photometric import l1_dssim
-from sculpt_framework.types import Camera, Gaussians, Rendering
+from sculpt_framework.rendering.spherical_harmonics import sh_to_rgb
+from sculpt_framework.types import Box, Camera, Gaussians, Rendering
 
 Terms = dict[str, Float[Tensor, ""]]
 
@@ -28,6 +33,8 @@ class Lesson:
     """Share of the run that is done."""
     generator: torch.Generator
     """What is random follows it."""
+    own: Mapping[str, Tensor] = field(default_factory=dict)
+    """What each Gaussian learns beside 3DGS (``Drawing.own_values``), a row each."""
 
 
 class Drawing(ABC):
@@ -39,6 +46,18 @@ class Drawing(ABC):
     def begin(self, images: Sequence[TrainingImage]) -> None:
         """These are the images that are learned from: whoever compares views with one another keeps them."""
         return
+
+    def own_rates(self) -> Mapping[str, float]:
+        """Learning rates, by name, of what each Gaussian learns beside 3DGS."""
+        return {}
+
+    def own_values(self, gaussians: Gaussians) -> Mapping[str, Tensor]:
+        """That of Gaussians as they start, a row each."""
+        return {}
+
+    def parameter_groups(self) -> Sequence[ParameterGroup]:
+        """What is learned beside the Gaussians."""
+        return ()
 
     @abstractmethod
     def terms(self, gaussians: Gaussians, lesson: Lesson) -> Terms:
@@ -62,3 +81,12 @@ class Splatting(Drawing):
 @torch.no_grad()
 def on_white(drawing: Drawing, gaussians: Gaussians, camera: Camera) -> Rendering:
     return drawing.draw(gaussians, camera, torch.ones(3, device=gaussians.means.device))
+
+
+@torch.no_grad()
+def colors_of_nearest(gaussians: Gaussians, box: Box, mesh: Mesh) -> Float[np.ndarray, "v 3"]:
+    """Of a mesh's vertices, those of the nearest Gaussians, without what changes with the view."""
+    points = box.to_object(torch.from_numpy(mesh.vertices)).numpy()
+    nearest = KDTree(gaussians.means.cpu().numpy()).query(points)[1]
+    rgb = sh_to_rgb(gaussians.sh[:, :1], gaussians.means, torch.zeros_like(gaussians.means[0])).clamp(0, 1)
+    return rgb.cpu().numpy()[nearest]

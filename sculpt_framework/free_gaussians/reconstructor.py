@@ -1,34 +1,31 @@
 """Free Gaussians as a session hosts them."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from jaxtyping import Float
-from scipy.spatial import KDTree
 from torch import Tensor
 
+from sculpt_framework.adam import Adam
 from sculpt_framework.evaluation.extracted import world_mesh
 from sculpt_framework.evaluation.mesh import Mesh
-from sculpt_framework.export.gaussian_files import write_gaussians_ply
-from sculpt_framework.export.saved_gaussians import GAUSSIANS_NAME, saved_gaussians
+from sculpt_framework.export.saved_gaussians import save_gaussians, saved_gaussians
 from sculpt_framework.free_gaussians.config import FreeGaussiansConfig
-from sculpt_framework.free_gaussians.drawing import Lesson, on_white
+from sculpt_framework.free_gaussians.drawing import Lesson, colors_of_nearest, on_white
 from sculpt_framework.free_gaussians.splats import Splats
 from sculpt_framework.geometry.grid import grid_over_box
 from sculpt_framework.losses import TrainingImage
 from sculpt_framework.posed_images.training_images import prepare_images
 from sculpt_framework.reconstructor import Host, Moment, Reconstructor, StepReport
-from sculpt_framework.rendering.spherical_harmonics import sh_to_rgb
 from sculpt_framework.shape_from_images.tsdf import fuse_renderings, surface_of
 from sculpt_framework.types import Camera, Rendering, Scene
 
 _FUSED = 40
 """Training views whose depths are fused to a mesh, spread evenly over all."""
-_LAST_MEANS_RATE = 0.01
+LAST_MEANS_RATE = 0.01
 """Of the means, the share that their learning rate ends at (3DGS, program)."""
 
 
@@ -45,9 +42,12 @@ class FreeGaussiansReconstructor(Reconstructor):
         self._order: list[int] = []
         """Views that are still to come before each has been looked at again."""
         half_sides = scene.box.half_sides.to(self._device)
-        self._splats = Splats.at_random(
+        start = Splats.at_random(
             half_sides, config.gaussians, config.sh_degree, config.rates, self._generator, flat=config.flat
         )
+        self._splats = start.owning(self._drawing.own_values(start.gaussians(1)), self._drawing.own_rates())
+        self._shared = Adam(self._drawing.parameter_groups())
+        """Of what is learned beside the Gaussians."""
         self._taken = 0
         self._mesh: Mesh | None = None
         self._faces = 0
@@ -67,16 +67,19 @@ class FreeGaussiansReconstructor(Reconstructor):
             target=image.over(background),
             progress=moment.progress,
             generator=self._generator,
+            own=splats.own,
         )
         terms = self._drawing.terms(splats.gaussians(self._bands), lesson)
         loss = torch.stack(list(terms.values())).sum()
         if not torch.isfinite(loss):
             raise FloatingPointError(f"the loss is {float(loss.detach())}")
         splats.zero_grad()
+        self._shared.zero_grad()
         loss.backward()
         splats.check_slopes()
         splats.note(image.camera)
-        splats.step(moment.rate, moment.rate * _LAST_MEANS_RATE**moment.progress)
+        self._shared.step(moment.rate)
+        splats.step(moment.rate, moment.rate * LAST_MEANS_RATE**moment.progress)
         self._taken += 1
         self._mesh = None
         density = config.density
@@ -118,12 +121,7 @@ class FreeGaussiansReconstructor(Reconstructor):
 
     @torch.no_grad()
     def colors(self) -> Float[np.ndarray, "v 3"]:
-        """Those of the nearest Gaussians, without what changes with the view."""
-        gaussians, mesh = self._splats.gaussians(1), self.mesh()
-        points = self._box.to_object(torch.from_numpy(mesh.vertices)).numpy()
-        nearest = KDTree(gaussians.means.cpu().numpy()).query(points)[1]
-        rgb = sh_to_rgb(gaussians.sh, gaussians.means, torch.zeros(3, device=self._device)).clamp(0, 1)
-        return rgb.cpu().numpy()[nearest]
+        return colors_of_nearest(self._splats.gaussians(1), self._box, self.mesh())
 
     @torch.no_grad()
     def render(self, camera: Camera) -> Rendering:
@@ -135,11 +133,7 @@ class FreeGaussiansReconstructor(Reconstructor):
 
     @torch.no_grad()
     def save(self, folder: Path) -> dict[str, Path]:
-        gaussians = self._splats.gaussians(self._bands)
-        means = self._box.to_world(gaussians.means.double()).float()
-        path = folder / GAUSSIANS_NAME
-        write_gaussians_ply(path, replace(gaussians, means=means, scales=gaussians.scales * self._box.scale))
-        return {"gaussians": path}
+        return {"gaussians": save_gaussians(self._splats.gaussians(self._bands), self._box, folder)}
 
     # -- state ---------------------------------------------------------------------------------------------------
 
@@ -150,14 +144,23 @@ class FreeGaussiansReconstructor(Reconstructor):
             "random": self._generator.get_state(),
             "faces": torch.tensor(self._faces),
         }
-        return {name: value.detach().clone().contiguous() for name, value in (self._splats.state() | own).items()}
+        shared = {f"shared/{place}": value for place, value in enumerate(self._shared.parameters)}
+        shared |= {f"shared_optimizer/{name}": value for name, value in self._shared.state().items()}
+        every = self._splats.state() | shared | own
+        return {name: value.detach().clone().contiguous() for name, value in every.items()}
 
     def load_state(self, state: Mapping[str, Tensor]) -> None:
         self._taken, self._order = int(state["taken"]), state["order"].tolist()
         self._generator.set_state(state["random"].clone())
         own = ("taken", "order", "random", "faces")
-        splats = {name: value.to(self._device) for name, value in state.items() if name not in own}
-        self._splats = Splats.of_state(splats, self._config.rates)
+        splats = {name: value.to(self._device) for name, value in state.items() if name not in own and "/" not in name}
+        self._splats = Splats.of_state(splats, self._config.rates, self._drawing.own_rates())
+        with torch.no_grad():
+            for place, parameter in enumerate(self._shared.parameters):
+                parameter.copy_(state[f"shared/{place}"])
+        prefix = "shared_optimizer/"
+        moments = {name.removeprefix(prefix): value for name, value in state.items() if name.startswith(prefix)}
+        self._shared.load_state(moments)
         self._mesh, self._faces = None, int(state["faces"])
 
 

@@ -1,7 +1,8 @@
 """Free Gaussians as parameters, and how they multiply (3DGS: Kerbl et al. 2023)."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float, Int64
@@ -23,13 +24,25 @@ _FLAT = 1e-6
 """Object units: the thickness of a disk."""
 _NEIGHBOURS = 3
 """To begin with, a Gaussian is as large as these are far."""
-_ORDER = ("means", "log_scales", "quaternions", "logits", "constant", "rest")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Worth:
+    """What decides of Gaussians' number in place of what they have themselves."""
+
+    opacities: Float[Tensor, " g"]
+    """In place of their own."""
+    pull: Float[Tensor, " g"]
+    """Added to the mean pull in the image, in half images."""
 
 
 class Splats:
     """Parameters of any number of Gaussians in the object frame, their optimiser, and what decides of their number."""
 
-    def __init__(self, values: Mapping[str, Tensor], rates: GaussianRates):
+    def __init__(
+        self, values: Mapping[str, Tensor], rates: GaussianRates, own_rates: Mapping[str, float] | None = None
+    ):
+        """``own_rates`` are the learning rates, by name, of what each learns beside 3DGS."""
         rate = {
             "means": rates.means,
             "log_scales": rates.scales,
@@ -38,9 +51,10 @@ class Splats:
             "constant": rates.colors,
             "rest": rates.colors / 20,
         }
-        self._rates = rates
-        self.parameters = {name: nn.Parameter(values[name].detach().clone()) for name in _ORDER}
-        groups = [ParameterGroup(parameters=[self.parameters[name]], rate=rate[name]) for name in _ORDER]
+        self._rates, self._own_rates = rates, dict(own_rates or {})
+        rate |= self._own_rates
+        self.parameters = {name: nn.Parameter(values[name].detach().clone()) for name in rate}
+        groups = [ParameterGroup(parameters=[self.parameters[name]], rate=rate[name]) for name in rate]
         # The means have a rate that falls by itself, and so an optimiser of their own.
         self.means_optimizer, self.optimizer = Adam(groups[:1]), Adam(groups[1:])
         self.pull = torch.zeros(len(self), device=self.means.device)
@@ -82,6 +96,15 @@ class Splats:
     @property
     def means(self) -> nn.Parameter:
         return self.parameters["means"]
+
+    @property
+    def own(self) -> Mapping[str, Tensor]:
+        """What each learns beside 3DGS."""
+        return {name: self.parameters[name] for name in self._own_rates}
+
+    def owning(self, values: Mapping[str, Tensor], rates: Mapping[str, float]) -> "Splats":
+        """The same, to begin with, where each learns these as well."""
+        return Splats({**self.parameters, **values}, self._rates, rates)
 
     def gaussians(self, bands: int) -> Gaussians:
         """With so many coefficients of the harmonics."""
@@ -137,22 +160,31 @@ class Splats:
         return values | {"pull": self.pull, "shown": self.shown}
 
     @staticmethod
-    def of_state(state: Mapping[str, Tensor], rates: GaussianRates) -> "Splats":
-        splats = Splats(state, rates)
+    def of_state(
+        state: Mapping[str, Tensor], rates: GaussianRates, own_rates: Mapping[str, float] | None = None
+    ) -> "Splats":
+        splats = Splats(state, rates, own_rates)
         splats.means_optimizer.load_state(_part(state, "means_optimizer."))
         splats.optimizer.load_state(_part(state, "optimizer."))
         splats.pull, splats.shown = state["pull"].clone(), state["shown"].clone()
         return splats
 
     @torch.no_grad()
-    def renewed(self, config: DensityConfig, generator: torch.Generator) -> "Splats":
+    def renewed(
+        self, config: DensityConfig, generator: torch.Generator, worth: "Callable[[Gaussians], Worth] | None" = None
+    ) -> "Splats":
         """What is left of them, and what is added: those that the images pull at are cloned where they are small, and
-        split in two where they are large; what is nearly clear is dropped (3DGS, 5.2).
+        split in two where they are large; what is nearly clear is dropped (3DGS, 5.2). ``worth`` says otherwise what
+        each is worth.
 
         Raises EmptySurfaceError if none would be left.
         """
         mean = self.pull / self.shown.clamp(min=1)
-        opaque = self.parameters["logits"].sigmoid() >= config.least_opacity
+        if worth is None:
+            opaque = self.parameters["logits"].sigmoid() >= config.least_opacity
+        else:
+            said = worth(self.gaussians(1))
+            opaque, mean = said.opacities >= config.least_opacity, mean + said.pull
         wanted = opaque & (mean >= config.gradient)
         if room := max(0, config.most - len(self)):
             # The strongest first, where there is not room for all.
@@ -175,7 +207,7 @@ class Splats:
             offset = torch.einsum("gij,gj->gi", turned, noise * scales[rows[-halves:]])
             values["means"][-halves:] += offset
             values["log_scales"][-halves:] -= torch.tensor(_SPLIT).log()
-        splats = Splats(values, self._rates)
+        splats = Splats(values, self._rates, self._own_rates)
         fresh = torch.arange(len(rows), device=rows.device) >= int(kept.sum())
         splats.means_optimizer.load_state(_rows(self.means_optimizer.state(), rows, fresh))
         splats.optimizer.load_state(_rows(self.optimizer.state(), rows, fresh))

@@ -70,9 +70,28 @@ class VolumeConfig(MethodConfig, ABC):
 
 
 @dataclass(frozen=True, kw_only=True)
+class SdfShape:
+    """What a volume of a signed distance field is made of."""
+
+    field: FieldConfig
+    radiance: RadianceConfig
+    eikonal_weight: float
+    mesh_cells: int
+
+
+@dataclass(frozen=True, kw_only=True)
 class SdfVolumeConfig(VolumeConfig, ABC):
     """A volume whose shape is a signed distance field."""
 
     field: FieldConfig
     eikonal_weight: Annotated[float, at_least(0)] = 0.1
     """Factor of the mean squared difference of the field's slope from 1."""
+
+    @property
+    def shape(self) -> SdfShape:
+        return SdfShape(
+            field=self.field,
+            radiance=self.radiance,
+            eikonal_weight=self.eikonal_weight,
+            mesh_cells=self.mesh_cells,
+        )

@@ -53,8 +53,12 @@ class Pixels:
 
 def rays_of(camera: Camera, first: int, last: int) -> Rays:
     """Through the centres of the pixels from number ``first`` to ``last`` (exclusive), in reading order."""
+    return rays_at(camera, torch.arange(first, last, device=camera.world_to_camera.device))
+
+
+def rays_at(camera: Camera, number: Int64[Tensor, " r"]) -> Rays:
+    """Through the centres of pixels, by their numbers in reading order."""
     pose = camera.world_to_camera
-    number = torch.arange(first, last, device=pose.device)
     lens = torch.tensor([camera.fx, camera.fy, camera.cx, camera.cy], device=pose.device, dtype=pose.dtype)
     count = len(number)
     return _through(

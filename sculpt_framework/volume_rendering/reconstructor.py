@@ -1,8 +1,8 @@
 """What methods that render a volume along rays do alike: learning, rendering, meshing, keeping their state."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -22,17 +22,19 @@ from sculpt_framework.export.mesh_files import vertex_normals
 from sculpt_framework.geometry.grid import grid_over_box
 from sculpt_framework.posed_images.training_images import prepare_images
 from sculpt_framework.reconstructor import Host, Moment, Reconstructor, StepReport
-from sculpt_framework.types import Box, Camera, Rendering, Scene
+from sculpt_framework.types import Box, Camera, Rendering, Scene, View
 from sculpt_framework.volume_rendering.config import VolumeConfig
 from sculpt_framework.volume_rendering.occupancy import Occupancy
 from sculpt_framework.volume_rendering.pixels import Pixels, rays_of
 from sculpt_framework.volume_rendering.stretches import stretches_of
 from sculpt_framework.volume_rendering.volume import Volume, look_along
 
+Built = TypeVar("Built")
+
 FILE_NAME = "volume.safetensors"
-_LOOK_EVERY = 16
+LOOK_EVERY = 16
 """Steps between looks at where something may be."""
-_LEVEL = 2
+LEVEL = 2
 """Of the mesh's grid: cells four times as wide are looked at first."""
 _RAYS_AT_ONCE, _POINTS_AT_ONCE = 1 << 14, 1 << 18
 
@@ -42,18 +44,14 @@ class VolumeReconstructor(Reconstructor):
 
     def __init__(self, config: VolumeConfig, scene: Scene, host: Host):
         """Raises DataError for images without masks."""
-        if missing := [view.name for view in host.views if view.alpha is None]:
-            raise DataError(
-                f"{config.method} learns from images with masks, and {len(missing)} of {len(host.views)} have none, "
-                f"{missing[0]} among them. Add masks, or use gaussian-sculpting."
-            )
+        require_masks(config.method, host.views)
         self._config, self._box, self._host = config, scene.box, host
         self._device = pick_device(config.device)
         self._generator = torch.Generator().manual_seed(config.seed)
-        self._volume = _built(config).to(self._device)
+        self._volume = built_by_seed(config.build_volume, config.seed).to(self._device)
         self._optimizer = Adam(list(self._volume.parameter_groups()), betas=(0.9, 0.99))
-        self._occupancy = occupancy_of(config, scene.box, self._device)
-        self._grid = grid_over_box(scene.box.half_sides.float(), config.mesh_cells >> _LEVEL, _LEVEL)
+        self._occupancy = occupancy_of(config.cells, scene.box, self._device)
+        self._grid = grid_over_box(scene.box.half_sides.float(), config.mesh_cells >> LEVEL, LEVEL)
         self._step = 2.0 / config.steps_across
         self._pixels: Pixels | None = None
         self._mesh: Mesh | None = None
@@ -87,7 +85,7 @@ class VolumeReconstructor(Reconstructor):
         loss.backward()
         self._optimizer.step(moment.rate * config.final_rate**moment.progress)
         self._mesh = None
-        if (moment.step + 1) % _LOOK_EVERY == 0:
+        if (moment.step + 1) % LOOK_EVERY == 0:
             self._look()
         told = {name: float(term.detach()) for name, term in terms.items()}
         facts = {"stretches": len(stretches), **self._volume.facts()}
@@ -182,7 +180,7 @@ def draw_volume(
 def draw_saved_volume(config: VolumeConfig, folder: Path, scene: Scene) -> Callable[[Camera], Rendering]:
     """Of a finished run. Raises CheckpointError if the run has not left its volume."""
     path, device = folder / FILE_NAME, pick_device(config.device)
-    volume, occupancy = _built(config), occupancy_of(config, scene.box, device)
+    volume, occupancy = built_by_seed(config.build_volume, config.seed), occupancy_of(config.cells, scene.box, device)
     try:
         kept = load_file(path)
         occupancy.opacity = kept.pop("opacity").to(device)
@@ -196,13 +194,22 @@ def draw_saved_volume(config: VolumeConfig, folder: Path, scene: Scene) -> Calla
     return lambda camera: draw_volume(volume, occupancy, step, scene.box, camera, device)
 
 
-def _built(config: VolumeConfig) -> Volume:
-    """By the config's seed; the numbers of whoever calls stay what they would be."""
+def built_by_seed(build: Callable[[], Built], seed: int) -> Built:
+    """What is random in it follows the seed; the numbers of whoever calls stay what they would be."""
     with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(config.seed)
-        return config.build_volume()
+        torch.manual_seed(seed)
+        return build()
 
 
-def occupancy_of(config: VolumeConfig, box: Box, device: torch.device) -> Occupancy:
+def require_masks(method: str, views: Sequence[View]) -> None:
+    """Raises DataError for images without masks."""
+    if missing := [view.name for view in views if view.alpha is None]:
+        raise DataError(
+            f"{method} learns from images with masks, and {len(missing)} of {len(views)} have none, {missing[0]} among "
+            "them. Add masks, or use gaussian-sculpting."
+        )
+
+
+def occupancy_of(cells: int, box: Box, device: torch.device) -> Occupancy:
     """All of the box occupied."""
-    return Occupancy(box.half_sides.float(), config.cells, device)
+    return Occupancy(box.half_sides.float(), cells, device)

@@ -8,7 +8,7 @@ from sculpt_framework.geometry.band import discover
 from sculpt_framework.geometry.grid import Grid
 from sculpt_framework.geometry.signed_distance import SdfFunction
 from sculpt_framework.parameters import ParameterGroup
-from sculpt_framework.volume_rendering.config import SdfVolumeConfig
+from sculpt_framework.volume_rendering.config import SdfShape
 from sculpt_framework.volume_rendering.radiance import RadianceField
 from sculpt_framework.volume_rendering.stretches import OccupiedCells, Rays, Stretches
 from sculpt_framework.volume_rendering.volume import Volume
@@ -22,13 +22,13 @@ _EIKONAL_POINTS = 2048
 class SdfVolume(Volume):
     """A field, a radiance field beside it, and the eikonal term."""
 
-    def __init__(self, config: SdfVolumeConfig):
+    def __init__(self, shape: SdfShape):
         super().__init__()
-        self._eikonal_weight = config.eikonal_weight
-        self._spacing = 2.0 / config.mesh_cells
-        self.field = config.field.build(torch.device("cpu"))
+        self._eikonal_weight = shape.eikonal_weight
+        self._spacing = 2.0 / shape.mesh_cells
+        self.field = shape.field.build(torch.device("cpu"))
         self.field.set_detail(self._spacing)
-        self._radiance = RadianceField(config.radiance)
+        self._radiance = RadianceField(shape.radiance)
 
     def colors(self, points: Float[Tensor, "n 3"], directions: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
         return self._radiance(points, directions)
@@ -47,8 +47,7 @@ class SdfVolume(Volume):
         points = 2 * torch.rand(_EIKONAL_POINTS, 3, generator=generator).to(device) - 1
         if len(stretches):
             chosen = torch.randint(len(stretches), (_EIKONAL_POINTS,), generator=generator).to(device)
-            middle = stretches.begin[chosen] + 0.5 * stretches.step
-            points = torch.cat([points, stretches.at(rays, stretches.ray[chosen], middle)])
+            points = torch.cat([points, stretches.at(rays, stretches.ray[chosen], stretches.middle[chosen])])
         return {"eikonal": self._eikonal_weight * eikonal(slopes(self.field, points, self._spacing))}
 
 

@@ -1,4 +1,4 @@
-"""Where along rays to look: steps of equal length through the occupied cells of a box."""
+"""Where along rays to look: steps of equal length through the occupied cells of a box, or around known depths."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -47,8 +47,9 @@ class Stretches:
 
     ray: Int64[Tensor, " n"]
     begin: Float[Tensor, " n"]
-    """Distance from the ray's origin, object units; it ends a step later."""
-    step: float
+    """Distance from the ray's origin, object units."""
+    length: Float[Tensor, " n"]
+    """Object units; no two of a ray overlap."""
     offsets: Int64[Tensor, " r1"]
     """First stretch of each ray, and at the end how many there are."""
 
@@ -57,17 +58,27 @@ class Stretches:
 
     def points(self, rays: Rays, share: float) -> Float[Tensor, "n 3"]:
         """The place in each that lies this share of its length behind its beginning."""
-        return self.at(rays, self.ray, self.begin + share * self.step)
+        return self.at(rays, self.ray, self.begin + share * self.length)
+
+    @property
+    def middle(self) -> Float[Tensor, " n"]:
+        return self.begin + 0.5 * self.length
 
     def at(self, rays: Rays, ray: Int64[Tensor, " m"], distance: Float[Tensor, " m"]) -> Float[Tensor, "m 3"]:
         origins, directions = rays.origins.index_select(0, ray), rays.directions.index_select(0, ray)
         return origins + distance[:, None] * directions
 
+    def but_of(self, left_out: Bool[Tensor, " r"]) -> "Stretches":
+        """Without those of some rays."""
+        kept = ~left_out[self.ray]
+        counts = torch.where(left_out, 0, self.offsets.diff())
+        return Stretches(ray=self.ray[kept], begin=self.begin[kept], length=self.length[kept], offsets=_offsets(counts))
+
     @property
     def goes_on(self) -> Bool[Tensor, " n"]:
         """Whether the next stretch begins where this one ends."""
         linked = torch.zeros_like(self.ray, dtype=torch.bool)
-        near = (self.begin[1:] - self.begin[:-1]) < 1.5 * self.step
+        near = (self.begin[1:] - self.begin[:-1]) < 1.5 * self.length[:-1]
         linked[:-1] = near & (self.ray[1:] == self.ray[:-1])
         return linked
 
@@ -84,8 +95,43 @@ def stretches_of(rays: Rays, cells: OccupiedCells, step: float, jitter: Float[Te
         numbers = ((far - starts) / step).ceil().clamp(min=0).to(torch.int64)
         compiled = rays.origins.device.type == "cpu" and rays.origins.dtype == torch.float32
         ray, begin, counts = (_compiled if compiled else _in_torch)(rays, cells, step, starts, numbers)
-    offsets = torch.cat([counts.new_zeros(1), counts.cumsum(0)])
-    return Stretches(ray=ray, begin=begin, step=step, offsets=offsets)
+    offsets = _offsets(counts)
+    return Stretches(ray=ray, begin=begin, length=begin.new_tensor(step).expand_as(begin), offsets=offsets)
+
+
+def stretches_around(
+    rays: Rays, middles: Float[Tensor, " r"], reach: Float[Tensor, " r"], count: int, jitter: Float[Tensor, " r"]
+) -> Stretches:
+    """``count`` stretches of one length on each ray, from ``reach`` in front of its middle to as far behind it, moved
+    on by ``jitter`` stretches, from -0.5 to 0.5. A ray whose reach is 0 has none; one that would begin behind its
+    origin begins at it. No gradient reaches the rays."""
+    with torch.no_grad():
+        chosen = (reach > 0).nonzero()[:, 0]
+        length = 2 * reach[chosen] / count
+        start = (middles[chosen] - reach[chosen] + jitter[chosen] * length).clamp(min=0)
+        begin = start[:, None] + length[:, None] * torch.arange(count, device=start.device)
+    return Stretches(
+        ray=chosen.repeat_interleave(count),
+        begin=begin.reshape(-1),
+        length=length.repeat_interleave(count),
+        offsets=_offsets(torch.where(reach > 0, count, 0)),
+    )
+
+
+def side_by_side(first: Stretches, second: Stretches) -> Stretches:
+    """Those of rays of which each has stretches in one of the two alone."""
+    ray = torch.cat([first.ray, second.ray])
+    order = ray.argsort(stable=True)
+    return Stretches(
+        ray=ray[order],
+        begin=torch.cat([first.begin, second.begin])[order],
+        length=torch.cat([first.length, second.length])[order],
+        offsets=first.offsets + second.offsets,
+    )
+
+
+def _offsets(counts: Int64[Tensor, " r"]) -> Int64[Tensor, " r1"]:
+    return torch.cat([counts.new_zeros(1), counts.cumsum(0)])
 
 
 def _within(rays: Rays, cells: OccupiedCells) -> tuple[Float[Tensor, " r"], Float[Tensor, " r"]]:

@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -67,16 +67,51 @@ class Volume(nn.Module, ABC):
         return {}
 
 
-def look_along(volume: Volume, rays: Rays, stretches: Stretches) -> Seen:
-    """Render rays. Colours are asked for where light still arrives; without gradients, where more than a trace of what
-    is seen comes from."""
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Places:
+    """Some of the places that rays pass, ray by ray, and what share of what each ray brings comes from there."""
+
+    rays: Rays
+    ray: Int64[Tensor, " m"]
+    distance: Float[Tensor, " m"]
+    weight: Float[Tensor, " m"]
+
+    @property
+    def points(self) -> Float[Tensor, "m 3"]:
+        return self.rays.origins.index_select(0, self.ray) + self.distance[:, None] * self.directions
+
+    @property
+    def directions(self) -> Float[Tensor, "m 3"]:
+        return self.rays.directions.index_select(0, self.ray)
+
+    def those(self, chosen: Bool[Tensor, " m"]) -> "Places":
+        return replace(self, ray=self.ray[chosen], distance=self.distance[chosen], weight=self.weight[chosen])
+
+    def bring(self, values: Float[Tensor, "m c"]) -> Float[Tensor, "r c"]:
+        """The sum over each ray of weight times value."""
+        counts = torch.bincount(self.ray, minlength=len(self.rays))
+        return add_up(self.weight, values, torch.cat([counts.new_zeros(1), counts.cumsum(0)]))
+
+
+def places_along(volume: Volume, rays: Rays, stretches: Stretches) -> tuple[Places, Float[Tensor, " r"]]:
+    """The middles of stretches where light still arrives; without gradients, where more than a trace of what is seen
+    comes from. And the light that comes through all of them."""
     weights, through = weigh(volume.alphas(rays, stretches), stretches)
     lit = _lit(weights.detach(), stretches) if torch.is_grad_enabled() else weights > _TRACE
-    ray, middle = stretches.ray[lit], stretches.begin[lit] + 0.5 * stretches.step
-    colors = volume.colors(stretches.at(rays, ray, middle), rays.directions.index_select(0, ray))
-    counts = torch.bincount(ray, minlength=len(rays))
-    offsets = torch.cat([counts.new_zeros(1), counts.cumsum(0)])
-    brought = add_up(weights[lit], torch.cat([colors, middle[:, None]], dim=1), offsets)
+    everywhere = Places(rays=rays, ray=stretches.ray, distance=stretches.middle, weight=weights)
+    return everywhere.those(lit), through
+
+
+def look_along(volume: Volume, rays: Rays, stretches: Stretches) -> Seen:
+    """Render rays."""
+    places, through = places_along(volume, rays, stretches)
+    return seen_from(volume, places, through)
+
+
+def seen_from(volume: Volume, places: Places, through: Float[Tensor, " r"]) -> Seen:
+    """What ``places_along`` has found, with its colours."""
+    colors = volume.colors(places.points, places.directions)
+    brought = places.bring(torch.cat([colors, places.distance[:, None]], dim=1))
     return Seen(rgb=brought[:, :3], alpha=1 - through, depth=brought[:, 3])
 
 

@@ -142,7 +142,16 @@ def test_volumes_are_rendered_on_another_device(name: str, scene: Scene, monkeyp
         assert_lives(small, scene)
 
 
-@pytest.mark.parametrize("name", [pytest.param("splatting-3d", marks=pytest.mark.slow), "pgsr"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param("splatting-3d", marks=pytest.mark.slow),
+        "pgsr",
+        pytest.param("relightable", marks=pytest.mark.slow),
+        pytest.param("3dgsr", marks=pytest.mark.slow),
+        "gsdf",
+    ],
+)
 def test_free_gaussians_live_on_another_device(name: str, scene: Scene, monkeypatch: pytest.MonkeyPatch):
     config = sculpt.methods[name]()
     assert isinstance(config, FreeGaussiansConfig)

@@ -33,6 +33,18 @@ def test_repeats_to_the_last_bit(threads: int):
 
 
 @pytest.mark.usefixtures("_threads_restored")
+def test_repeats_wherever_in_memory_the_images_lie():
+    """Four channels, of which a compiler makes one vector where it can: a few renderings in a hundred differed."""
+    torch.set_num_threads(1)
+    splats = random_splats(count=300, channels=4, width=48, height=48)
+    first, held = rendered(NumbaRasterizerConfig().build(CPU), splats, torch.float32), []
+    for turn in range(150):
+        held.append(torch.empty(1 + 37 * turn % 977))
+        again = rendered(NumbaRasterizerConfig().build(CPU), splats, torch.float32)
+        assert all(torch.equal(first[1][name], again[1][name]) for name in INPUTS)
+
+
+@pytest.mark.usefixtures("_threads_restored")
 def test_deterministic_whatever_the_threads():
     rasterizer = NumbaRasterizerConfig(deterministic=True).build(CPU)
     results = []

@@ -7,10 +7,10 @@ import torch
 from torch import nn
 from torch.autograd import gradcheck
 
+from sculpt_framework.volume_rendering.logistic import opacity
 from sculpt_framework.volume_rendering.sdf_volume import eikonal, slopes
 from sculpt_framework.volume_rendering.stretches import OccupiedCells, Rays, stretches_of
 from sculpt_framework.volume_rendering.weights import weigh
-from sculpt_plugins.methods.neus.volume import opacity
 from sculpt_plugins.methods.volsdf.volume import density
 
 FULL = OccupiedCells(occupied=torch.ones(4, 4, 4, dtype=torch.bool), low=(-1.0, -1.0, -1.0), cell=0.5)

@@ -4,7 +4,14 @@ import pytest
 import torch
 from torch.autograd import gradcheck
 
-from sculpt_framework.volume_rendering.stretches import OccupiedCells, Rays, Stretches, stretches_of
+from sculpt_framework.volume_rendering.stretches import (
+    OccupiedCells,
+    Rays,
+    Stretches,
+    side_by_side,
+    stretches_around,
+    stretches_of,
+)
 from sculpt_framework.volume_rendering.weights import add_up, weigh, weigh_in_torch
 
 
@@ -12,7 +19,7 @@ def stretches(counts: list[int]) -> Stretches:
     number = torch.tensor(counts)
     ray = torch.repeat_interleave(torch.arange(len(counts)), number)
     offsets = torch.cat([number.new_zeros(1), number.cumsum(0)])
-    return Stretches(ray=ray, begin=torch.zeros(len(ray)), step=1.0, offsets=offsets)
+    return Stretches(ray=ray, begin=torch.zeros(len(ray)), length=torch.ones(len(ray)), offsets=offsets)
 
 
 def rays_at_random(count: int, dtype: torch.dtype) -> Rays:
@@ -100,3 +107,27 @@ def test_the_compiled_march_is_that_of_torch():
     assert differ < 0.02
     assert abs(len(exact) - len(compiled)) <= 4
     assert len(exact) > 1000
+
+
+def test_stretches_around_a_depth_and_beside_others():
+    rays = rays_at_random(4, torch.float32)
+    middles, reach = torch.tensor([2.0, 3.0, 0.1, 2.0]), torch.tensor([0.4, 0.0, 0.4, 0.2])
+    around = stretches_around(rays, middles, reach, 8, torch.tensor([0.0, 0.0, 0.0, 0.5]))
+    assert around.offsets.tolist() == [0, 8, 8, 16, 24]
+    assert around.begin[[0, 7]].tolist() == pytest.approx([1.6, 2.3])
+    # None begins behind the camera; the last is half a stretch further on.
+    assert around.begin[8] == 0
+    assert float(around.begin[16]) == pytest.approx(1.8 + 0.025)
+    assert around.goes_on.tolist() == 3 * ([True] * 7 + [False])
+    assert float((around.middle[1:8] - around.middle[:7]).min()) == pytest.approx(0.1, rel=1e-4)
+    full = OccupiedCells(occupied=torch.ones(2, 2, 2, dtype=torch.bool), low=(-1.0, -1.0, -1.0), cell=1.0)
+    everywhere = stretches_of(rays, full, 0.25)
+    left = everywhere.but_of(reach > 0)
+    assert left.ray.tolist() == everywhere.ray[everywhere.ray == 1].tolist()
+    both = side_by_side(around, left)
+    assert both.offsets.diff().tolist() == [8, len(left), 8, 8]
+    assert torch.equal(both.ray, both.ray.sort().values)
+    assert torch.equal(both.begin[both.ray == 3], around.begin[around.ray == 3])
+    nothing = stretches_around(rays, middles, torch.zeros(4), 8, torch.zeros(4))
+    assert len(nothing) == 0
+    assert nothing.offsets.tolist() == [0] * 5

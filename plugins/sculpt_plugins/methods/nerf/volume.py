@@ -48,7 +48,7 @@ class NerfVolume(Volume):
         return (self._decode(points)[:, 0] + start).clamp(max=_MOST).exp()
 
     def alphas(self, rays: Rays, stretches: Stretches) -> Float[Tensor, " n"]:
-        return -torch.expm1(-stretches.step * self.density(stretches.points(rays, 0.5)))
+        return -torch.expm1(-stretches.length * self.density(stretches.points(rays, 0.5)))
 
     def colors(self, points: Float[Tensor, "n 3"], directions: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
         return self._colors(self._decode(points)[:, 1:], directions)

@@ -7,7 +7,7 @@ from sculpt_framework.ranges import above, at_least
 from sculpt_framework.volume_rendering.config import SdfVolumeConfig
 
 if TYPE_CHECKING:
-    from sculpt_plugins.methods.neus.volume import NeusVolume
+    from sculpt_framework.volume_rendering.logistic import LogisticVolume
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,7 +19,7 @@ class NeusConfig(SdfVolumeConfig):
     sharpness_rate: Annotated[float, at_least(0)] = 1e-3
     """Learning rate of a tenth of its logarithm."""
 
-    def build_volume(self) -> "NeusVolume":
-        from sculpt_plugins.methods.neus.volume import NeusVolume
+    def build_volume(self) -> "LogisticVolume":
+        from sculpt_framework.volume_rendering.logistic import LogisticVolume
 
-        return NeusVolume(self)
+        return LogisticVolume(self.shape, self.sharpness, self.sharpness_rate)

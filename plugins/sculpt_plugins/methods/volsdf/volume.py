@@ -18,7 +18,7 @@ class VolsdfVolume(SdfVolume):
     """The paper bounds the error of its sampling; here steps are of one length, and occupied cells alone are passed."""
 
     def __init__(self, config: VolsdfConfig):
-        super().__init__(config)
+        super().__init__(config.shape)
         self._rate, self._least = config.beta_rate, config.least_beta
         self._log_beta = nn.Parameter(torch.tensor(math.log(config.beta)))
 
@@ -27,7 +27,7 @@ class VolsdfVolume(SdfVolume):
         return self._log_beta.exp() + self._least
 
     def alphas(self, rays: Rays, stretches: Stretches) -> Float[Tensor, " n"]:
-        return -torch.expm1(-stretches.step * density(self.field(stretches.points(rays, 0.5)), self.beta))
+        return -torch.expm1(-stretches.length * density(self.field(stretches.points(rays, 0.5)), self.beta))
 
     def most_opaque(self, points: Float[Tensor, "n 3"], radius: float, step: float) -> Float[Tensor, " n"]:
         sdf, beta = self.field(points), self.beta

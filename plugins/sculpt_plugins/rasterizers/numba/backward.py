@@ -120,10 +120,8 @@ def composite_backward(
                             state[PIXELS * 2 + i] = to_depth[y, x]
                             rest += to_depth[y, x] * depth[y, x]
                         for c in range(channels):
-                            gradient = to_image[y, x, c]
-                            rest += gradient * image[y, x, c]
-                            state[PIXELS * (3 + c) + i] = gradient
-                        state[PIXELS + i] = rest
+                            state[PIXELS * (3 + c) + i] = to_image[y, x, c]
+                        state[PIXELS + i] = rest + _in_order(to_image, image, y, x)
                 begin = starts[tile]
                 for position in range(begin, begin + entries):
                     r = np.int64(lists[position]) * stride
@@ -208,6 +206,16 @@ def composite_backward(
                         _add_features(
                             sums, slot + SUM_FEATURES + first, state, PIXELS * (3 + first), weights, blocks[position]
                         )
+
+
+@njit(error_model="numpy")
+def _in_order(gradients, image, y, x):
+    """The sum over a pixel's channels of gradient times value, first to last: left to the compiler, its order depends
+    on where in memory the images lie, and runs are no longer the same to the bit."""
+    total = np.float32(0)
+    for c in range(image.shape[2]):
+        total += gradients[y, x, c] * image[y, x, c]
+    return total
 
 
 @njit(fastmath=True, error_model="numpy")

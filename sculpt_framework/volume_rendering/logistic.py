@@ -1,4 +1,5 @@
-"""NeuS (Wang et al. 2021): an unbiased, occlusion-aware weight from a signed distance."""
+"""Opacity from how far a logistic function of a signed distance falls: an unbiased, occlusion-aware weight (NeuS: Wang
+et al. 2021)."""
 
 import math
 from collections.abc import Mapping
@@ -9,18 +10,18 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from sculpt_framework.parameters import ParameterGroup
+from sculpt_framework.volume_rendering.config import SdfShape
 from sculpt_framework.volume_rendering.sdf_volume import SdfVolume, nearest
 from sculpt_framework.volume_rendering.stretches import Rays, Stretches
 from sculpt_framework.volume_rendering.volume import DARK
-from sculpt_plugins.methods.neus.config import NeusConfig
 
 
-class NeusVolume(SdfVolume):
-    def __init__(self, config: NeusConfig):
-        super().__init__(config)
-        self._rate = config.sharpness_rate
-        self._tenth = nn.Parameter(torch.tensor(0.1 * math.log(config.sharpness)))
-        """Of the logarithm of the sharpness, as the paper's program learns it."""
+class LogisticVolume(SdfVolume):
+    def __init__(self, shape: SdfShape, sharpness: float, sharpness_rate: float):
+        super().__init__(shape)
+        self._rate = sharpness_rate
+        self._tenth = nn.Parameter(torch.tensor(0.1 * math.log(sharpness)))
+        """Of the logarithm of the sharpness, as NeuS' program learns it."""
 
     @property
     def sharpness(self) -> Float[Tensor, ""]:
@@ -29,7 +30,7 @@ class NeusVolume(SdfVolume):
     def alphas(self, rays: Rays, stretches: Stretches) -> Float[Tensor, " n"]:
         linked = stretches.goes_on
         last = (~linked).nonzero()[:, 0]
-        ends = stretches.at(rays, stretches.ray[last], stretches.begin[last] + stretches.step)
+        ends = stretches.at(rays, stretches.ray[last], stretches.begin[last] + stretches.length[last])
         sdf = self.field(torch.cat([stretches.points(rays, 0.0), ends]))
         first, beyond = sdf[: len(stretches)], sdf[len(stretches) :]
         # A stretch ends where the next one begins; where there is none, at a place of its own.
@@ -45,7 +46,10 @@ class NeusVolume(SdfVolume):
         return torch.where(torch.sigmoid(sharpness * (sdf + radius)) > DARK, found, 0.0)
 
     def parameter_groups(self) -> list[ParameterGroup]:
-        return [*super().parameter_groups(), ParameterGroup(parameters=[self._tenth], rate=self._rate)]
+        return [*super().parameter_groups(), self.sharpness_group()]
+
+    def sharpness_group(self) -> ParameterGroup:
+        return ParameterGroup(parameters=[self._tenth], rate=self._rate)
 
     def facts(self) -> Mapping[str, float]:
         return {"sharpness": float(self.sharpness.detach())}
@@ -54,7 +58,7 @@ class NeusVolume(SdfVolume):
 def opacity(
     first: Float[Tensor, " n"], second: Float[Tensor, " n"], sharpness: Float[Tensor, ""]
 ) -> Float[Tensor, " n"]:
-    """(F(first) - F(second)) / F(first), at least 0, F the logistic function (paper, eq. 13).
+    """(F(first) - F(second)) / F(first), at least 0, F the logistic function (NeuS, eq. 13).
 
     By the difference of logarithms, which stay finite deep inside, where both F are 0 in floating point. Where the
     distance grows along the stretch the opacity is 0, without gradient.

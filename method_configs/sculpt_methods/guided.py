@@ -1,0 +1,83 @@
+"""Methods of Gaussians beside a signed distance field, in a size that suits a CPU.
+
+Where a number is a paper's, its place is named; "program" is what its authors published.
+"""
+
+from sculpt_framework.guided_gaussians.config import AgreementConfig, RaysConfig
+from sculpt_methods.splatting import splatting_3d
+from sculpt_methods.volume_rendered import neus
+from sculpt_plugins.methods.gaussians_3dgsr.config import Gaussians3dgsrConfig
+from sculpt_plugins.methods.gsdf.config import GsdfConfig, GuidanceConfig
+
+
+def gaussians_3dgsr() -> Gaussians3dgsrConfig:
+    """3DGSR: Gaussians as opaque as a field says; its mesh is the field's zero."""
+    splats, rays = splatting_3d(), neus()
+    return Gaussians3dgsrConfig(
+        method="3dgsr",
+        steps=splats.steps,
+        gaussians=splats.gaussians,
+        sh_degree=splats.sh_degree,
+        sh_every=splats.sh_every,
+        dssim=splats.dssim,
+        density=splats.density,
+        rates=splats.rates,
+        bell=10.0,  # 4.1, beta, learned; its start is ours: wide enough for all Gaussians of the box to be drawn
+        rays=RaysConfig(
+            number=512,  # ours
+            eikonal_weight=0.1,  # as NeuS
+            mask_weight=0.1,  # as NeuS, with masks
+            sharpness=rays.sharpness,
+            sharpness_rate=rays.sharpness_rate,
+        ),
+        agreement=AgreementConfig(
+            depth=0.1,  # 4.2; ours
+            normal=0.01,  # 4.2; ours
+        ),
+        radiance=rays.radiance,
+        field=rays.field,
+        rasterizer=splats.rasterizer,
+        extractor=splats.extractor,
+        dataset=splats.dataset,
+        observers=splats.observers,
+    )
+
+
+def gsdf() -> GsdfConfig:
+    """GSDF: Gaussians and a field that guide each other; its mesh is the field's zero."""
+    splats, rays = splatting_3d(), neus()
+    return GsdfConfig(
+        method="gsdf",
+        steps=splats.steps,
+        gaussians=splats.gaussians,
+        sh_degree=splats.sh_degree,
+        sh_every=splats.sh_every,
+        dssim=splats.dssim,
+        density=splats.density,
+        rates=splats.rates,
+        field_from=0.33,  # program: step 15 000 of 45 000
+        guidance=GuidanceConfig(
+            reach=4.0,  # 3.2.1, k
+            samples=24,  # program: 64
+            sigma=0.05,  # 3.2.2, sigma; ours
+            growing=5e-5,  # 3.2.2, omega_g; program: 2e-4, of anchors; with it all of ours would be cloned
+            pruning=0.1,  # 3.2.2, omega_p; ours
+        ),
+        rays=RaysConfig(
+            number=512,  # ours; program: 256 and more, as many as fit
+            eikonal_weight=0.1,  # program
+            mask_weight=0.1,  # as NeuS, with masks; the paper has none
+            sharpness=rays.sharpness,
+            sharpness_rate=rays.sharpness_rate,
+        ),
+        agreement=AgreementConfig(
+            depth=0.01,  # 3.2.3; program
+            normal=0.01,  # 3.2.3; program
+        ),
+        radiance=rays.radiance,
+        field=rays.field,
+        rasterizer=splats.rasterizer,
+        extractor=splats.extractor,
+        dataset=splats.dataset,
+        observers=splats.observers,
+    )

@@ -1,0 +1,1 @@
+"""Relightable 3D Gaussian (Gao et al. 2024)."""

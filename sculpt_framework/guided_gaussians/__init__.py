@@ -1,0 +1,1 @@
+"""Gaussians beside a signed distance field: drawn both ways, and learned together."""

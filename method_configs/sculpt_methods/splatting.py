@@ -1,11 +1,14 @@
 """Methods of the paper's tables whose Gaussians are free, in a size that suits a CPU."""
 
+from dataclasses import replace
+
 from sculpt_framework.free_gaussians.config import DensityConfig, GaussianRates
 from sculpt_plugins.datasets.auto.config import AutoDatasetConfig
 from sculpt_plugins.extractors.marching_tetrahedra.config import MarchingTetrahedraConfig
 from sculpt_plugins.methods.pgsr.config import PgsrConfig
 from sculpt_plugins.methods.splatting_2d.config import Splatting2dConfig
 from sculpt_plugins.methods.splatting_3d.config import Splatting3dConfig
+from sculpt_plugins.methods.sugar.config import SugarConfig
 from sculpt_plugins.observers.console.config import ConsoleConfig
 from sculpt_plugins.observers.recorder.config import RecorderConfig
 from sculpt_plugins.rasterizers.auto.config import AutoRasterizerConfig
@@ -78,6 +81,35 @@ def pgsr() -> PgsrConfig:
         single_view=0.015,  # 5, lambda_2
         photometric=0.15,  # 5, lambda_3
         geometric=0.03,  # 5, lambda_4
+        rasterizer=like.rasterizer,
+        extractor=like.extractor,
+        dataset=like.dataset,
+        observers=like.observers,
+    )
+
+
+def sugar() -> SugarConfig:
+    """SuGaR, a seventh of the paper's steps; its mesh is the Poisson surface of a level of the density (extra pose)."""
+    like = splatting_3d()
+    return SugarConfig(
+        method="sugar",
+        steps=like.steps,  # 5: 15 000, before the refinement
+        gaussians=like.gaussians,
+        sh_degree=like.sh_degree,
+        sh_every=133,  # 3DGS: 1000, of seven and a half times the steps
+        dssim=like.dssim,
+        density=replace(like.density, end=0.47),  # program: until step 7000
+        rates=like.rates,
+        entropy_from=0.47,  # 5: step 7000 of 15 000
+        entropy=0.1,  # program
+        surface_from=0.6,  # 5: step 9000 of 15 000
+        clear=0.5,  # 5
+        distance=0.2,  # program
+        normals=0.2,  # program
+        samples=4096,  # program: 1 000 000
+        level=0.3,  # 4.2, lambda
+        level_points=100_000,  # program: 10 000 000
+        poisson_depth=7,  # program: 10
         rasterizer=like.rasterizer,
         extractor=like.extractor,
         dataset=like.dataset,

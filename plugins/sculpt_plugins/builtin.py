@@ -76,6 +76,7 @@ METHODS: dict[str, str] = {
     "pgsr": "sculpt_methods.splatting:pgsr",
     "splatting-2d": "sculpt_methods.splatting:splatting_2d",
     "splatting-3d": "sculpt_methods.splatting:splatting_3d",
+    "sugar": "sculpt_methods.splatting:sugar",
     "volsdf": "sculpt_methods.volume_rendered:volsdf",
 }
 

@@ -165,9 +165,8 @@ class Splats:
         clones, splits = wanted & ~large, wanted & large
         kept = ~splits & opaque
         rows = torch.cat([kept.nonzero()[:, 0], clones.nonzero()[:, 0], splits.nonzero()[:, 0].repeat(2)])
-        if len(rows) == 0:
-            raise EmptySurfaceError("no Gaussian is left: all are nearly clear")
-        values = {name: parameter[rows].clone() for name, parameter in self.parameters.items()}
+        splats = self._at(rows, fresh=len(rows) - int(kept.sum()))
+        values = splats.parameters
         if halves := 2 * int(splits.sum()):
             noise = torch.randn(halves, 3, generator=generator).to(scales)
             turns = values["quaternions"][-halves:]
@@ -175,10 +174,21 @@ class Splats:
             offset = torch.einsum("gij,gj->gi", turned, noise * scales[rows[-halves:]])
             values["means"][-halves:] += offset
             values["log_scales"][-halves:] -= torch.tensor(_SPLIT).log()
-        splats = Splats(values, self._rates)
-        fresh = torch.arange(len(rows), device=rows.device) >= int(kept.sum())
-        splats.means_optimizer.load_state(_rows(self.means_optimizer.state(), rows, fresh))
-        splats.optimizer.load_state(_rows(self.optimizer.state(), rows, fresh))
+        return splats
+
+    @torch.no_grad()
+    def without_clear(self, least_opacity: float) -> "Splats":
+        """Those that are at least as opaque. Raises EmptySurfaceError if none is."""
+        return self._at((self.parameters["logits"].sigmoid() >= least_opacity).nonzero()[:, 0], fresh=0)
+
+    def _at(self, rows: Int64[Tensor, " n"], fresh: int) -> "Splats":
+        """Those in these rows, of which so many at the end are new to the optimiser."""
+        if len(rows) == 0:
+            raise EmptySurfaceError("no Gaussian is left: all are nearly clear")
+        splats = Splats({name: parameter[rows] for name, parameter in self.parameters.items()}, self._rates)
+        new = torch.arange(len(rows), device=rows.device) >= len(rows) - fresh
+        splats.means_optimizer.load_state(_rows(self.means_optimizer.state(), rows, new))
+        splats.optimizer.load_state(_rows(self.optimizer.state(), rows, new))
         return splats
 
 

@@ -142,7 +142,10 @@ def test_volumes_are_rendered_on_another_device(name: str, scene: Scene, monkeyp
         assert_lives(small, scene)
 
 
-@pytest.mark.parametrize("name", [pytest.param("splatting-3d", marks=pytest.mark.slow), "pgsr"])
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param("splatting-3d", marks=pytest.mark.slow), "pgsr", pytest.param("sugar", marks=pytest.mark.slow)],
+)
 def test_free_gaussians_live_on_another_device(name: str, scene: Scene, monkeypatch: pytest.MonkeyPatch):
     config = sculpt.methods[name]()
     assert isinstance(config, FreeGaussiansConfig)

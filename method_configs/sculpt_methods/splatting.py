@@ -5,6 +5,7 @@ from dataclasses import replace
 from sculpt_framework.free_gaussians.config import DensityConfig, GaussianRates
 from sculpt_plugins.datasets.auto.config import AutoDatasetConfig
 from sculpt_plugins.extractors.marching_tetrahedra.config import MarchingTetrahedraConfig
+from sculpt_plugins.methods.gof.config import GofConfig
 from sculpt_plugins.methods.pgsr.config import PgsrConfig
 from sculpt_plugins.methods.splatting_2d.config import Splatting2dConfig
 from sculpt_plugins.methods.splatting_3d.config import Splatting3dConfig
@@ -111,6 +112,32 @@ def sugar() -> SugarConfig:
         level_points=100_000,  # program: 10 000 000
         poisson_depth=7,  # program: 10
         rasterizer=like.rasterizer,
+        extractor=like.extractor,
+        dataset=like.dataset,
+        observers=like.observers,
+    )
+
+
+def gof() -> GofConfig:
+    """Gaussian opacity fields, a fifteenth of the paper's steps; a level of the opacity is the mesh. CPU only."""
+    like = splatting_3d()
+    return GofConfig(
+        method="gof",
+        steps=like.steps,  # 4: 30 000
+        gaussians=like.gaussians,
+        sh_degree=like.sh_degree,
+        sh_every=like.sh_every,
+        dssim=like.dssim,
+        density=like.density,  # 3.3: by the sum of the gradients' lengths in pixels; here as 3DGS
+        rates=like.rates,
+        distortion=100.0,  # program, of bounded scenes
+        distortion_from=0.5,  # program: step 15 000 of 30 000
+        normals=0.05,  # program
+        normals_from=0.5,  # program: step 15 000 of 30 000
+        smoothing=0.2,  # program, as Mip-Splatting
+        level=0.5,  # 3.4
+        bisections=8,  # 3.4
+        mesh_gaussians=30_000,  # 3.4: all
         extractor=like.extractor,
         dataset=like.dataset,
         observers=like.observers,

@@ -71,6 +71,7 @@ METHODS: dict[str, str] = {
     "gaussian-sculpting-everything": "sculpt_methods.everything:gaussian_sculpting_everything",
     "gaussian-sculpting-paper": "sculpt_methods.paper:gaussian_sculpting_paper",
     "gaussian-sculpting-tiny": "sculpt_methods.sculpting:gaussian_sculpting_tiny",
+    "gof": "sculpt_methods.splatting:gof",
     "nerf": "sculpt_methods.volume_rendered:nerf",
     "neus": "sculpt_methods.volume_rendered:neus",
     "pgsr": "sculpt_methods.splatting:pgsr",

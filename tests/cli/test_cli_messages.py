@@ -8,7 +8,7 @@ from sculpt_framework.cli.train import main
 from sculpt_framework.command_line.request import parse, read_request
 from sculpt_framework.errors import SculptError
 
-OTHERS = ("nerf", "neus", "pgsr", "splatting-2d", "splatting-3d", "sugar", "volsdf")
+OTHERS = ("gof", "nerf", "neus", "pgsr", "splatting-2d", "splatting-3d", "sugar", "volsdf")
 METHODS = ", ".join([*(f"gaussian-sculpting{end}" for end in ("", "-fine", "-everything", "-paper", "-tiny")), *OTHERS])
 BUILT_IN = "mlp, hash-grid, dense-grid, fancy, plain"
 

@@ -26,6 +26,7 @@ from sculpt_plugins.methods.sugar.config import SugarConfig
 from sculpt_plugins.methods.sugar.density import density_at, implied, neighbours
 from sculpt_plugins.methods.sugar.drawing import entropy, surface_terms
 from sculpt_plugins.methods.sugar.poisson import PoissonMesher, level_points, poisson
+from tests.free_gaussians.shapes import flat, on_a_sphere
 
 CPU = torch.device("cpu")
 CAMERA = Camera(
@@ -38,30 +39,6 @@ def config() -> SugarConfig:
     made = sculpt.methods["sugar"]()
     assert isinstance(made, SugarConfig)
     return made
-
-
-def flat(means: Tensor, normals: Tensor, thickness: float, size: float, opacity: float) -> Gaussians:
-    other = torch.tensor([0.3, 0.5, -0.8]).to(normals).expand_as(normals)
-    first = torch.nn.functional.normalize(torch.linalg.cross(normals, other), dim=1)
-    rotations = torch.stack([normals, first, torch.linalg.cross(normals, first)], dim=2)
-    count = len(means)
-    return Gaussians(
-        means=means,
-        scales=means.new_tensor([thickness, size, size]).repeat(count, 1),
-        rotations=rotations,
-        opacities=means.new_full((count,), opacity),
-        sh=means.new_zeros(count, 1, 3),
-        face=torch.full((count,), -1),
-    )
-
-
-def on_a_sphere(count: int, radius: float = 0.6) -> Gaussians:
-    """Evenly spread (Fibonacci), flat, along the surface."""
-    number = torch.arange(count, dtype=torch.float64) + 0.5
-    height, turn = 1 - 2 * number / count, math.pi * (1 + 5**0.5) * number
-    round_ = (1 - height.square()).sqrt()
-    normals = torch.stack([round_ * turn.cos(), round_ * turn.sin(), height], dim=1)
-    return flat(radius * normals, normals, 0.01, radius * 2.5 / count**0.5, 0.9)
 
 
 def test_the_distance_of_one_flat_gaussian_is_that_from_its_plane():
@@ -90,10 +67,15 @@ def test_slopes():
     def values(means: Tensor, scales: Tensor, rotations: Tensor, opacities: Tensor) -> Tensor:
         given = replace(some, means=means, scales=scales, rotations=rotations, opacities=opacities)
         found = implied(given, density_at(given, points, near))
-        return torch.cat([found.distance, found.off])
+        return found.distance
 
     inputs = [some.means, some.scales, some.rotations, some.opacities]
     assert gradcheck(values, [each.clone().requires_grad_() for each in inputs])
+    local = density_at(some, points, near)
+    assert gradcheck(
+        lambda rotations: implied(replace(some, rotations=rotations), local).off,
+        [some.rotations.clone().requires_grad_()],
+    )
     # The density's own slope is that by the place.
     where = points.clone().requires_grad_()
     local = density_at(some, where, near)

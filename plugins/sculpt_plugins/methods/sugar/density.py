@@ -43,7 +43,8 @@ class Implied:
     distance: Float[Tensor, " n"]
     """|f| = s sqrt(-2 log d), s the smallest size of g* (4.1)."""
     off: Float[Tensor, " n"]
-    """Squared length of what is between the density's normal and that of g*, of the same side (eq. 10)."""
+    """Squared length of what is between the density's normal and that of g*, of the same side (eq. 10). The first has
+    no gradient: g* is turned as its neighbours lie (program)."""
     known: Bool[Tensor, " n"]
     """Where a Gaussian is in reach and the density has a slope: elsewhere both are 0, without gradient."""
 
@@ -67,12 +68,12 @@ def density_at(gaussians: Gaussians, points: Float[Tensor, "n 3"], near: Int64[T
 def implied(gaussians: Gaussians, local: Local) -> Implied:
     """Differentiable in the Gaussians. A density of 1 and more is at the surface: distance 0, without gradient."""
     best, density = local.best, local.density
-    steep = local.slope.square().sum(dim=1)
+    steep = local.slope.detach().square().sum(dim=1)
     known = (density > _EMPTY) & (steep > 0) & torch.isfinite(steep)
     within = known & (density < _FULL)
     root = (-2 * torch.where(within, density, 0.5).log()).sqrt()
     size = gaussians.scales[best, 0].clamp(min=_THINNEST)
-    unit = local.slope * torch.where(known, steep, 1.0).rsqrt()[:, None]
+    unit = local.slope.detach() * torch.where(known, steep, 1.0).rsqrt()[:, None]
     cosine = (unit * gaussians.rotations[best, :, 0]).sum(dim=1).abs()
     return Implied(
         distance=torch.where(within, size * root, 0.0), off=torch.where(known, 2 - 2 * cosine, 0.0), known=known

@@ -35,25 +35,36 @@ def _cofactors(m, out):
 
 
 @njit(inline="always", **_OPTIONS)
-def _row_of(m, cofactors, c, y, line):
-    """Along the row of pixels with this y: w = ``line[0]`` + x ``line[1]``, cof(M) (mu x d) = ``line[2]`` + x
-    ``line[3]``."""
+def _row_of(m, cofactors, c, center, y, line, form):
+    """Along the row of pixels with this y: w = ``line[0]`` + x ``line[1]`` and M^T w = ``line[2]`` + x ``line[3]``; and
+    the coefficients of powers of x in |cof(M) (mu x d)|^2, ``form[0]``, in |w|^2, ``form[1]``, and in w . M mu,
+    ``form[2]``."""
     a0, a1, a2 = c[1] - c[2] * y, -c[0] + 0.0, c[0] * y
+    form[:] = 0
     for i in range(3):
-        line[0, i] = m[i, 1] * y + m[i, 2]
-        line[1, i] = m[i, 0]
-        line[2, i] = cofactors[i, 0] * a0 + cofactors[i, 1] * a1 + cofactors[i, 2] * a2
-        line[3, i] = cofactors[i, 1] * c[2] - cofactors[i, 2] * c[1]
+        w, by_x = m[i, 1] * y + m[i, 2], m[i, 0]
+        k = cofactors[i, 0] * a0 + cofactors[i, 1] * a1 + cofactors[i, 2] * a2
+        k_by_x = cofactors[i, 1] * c[2] - cofactors[i, 2] * c[1]
+        line[0, i], line[1, i] = w, by_x
+        form[0, 0] += k * k
+        form[0, 1] += 2 * k * k_by_x
+        form[0, 2] += k_by_x * k_by_x
+        form[1, 0] += w * w
+        form[1, 1] += 2 * w * by_x
+        form[1, 2] += by_x * by_x
+        form[2, 0] += w * center[i]
+        form[2, 1] += by_x * center[i]
+    for i in range(3):
+        line[2, i] = m[0, i] * line[0, 0] + m[1, i] * line[0, 1] + m[2, i] * line[0, 2]
+        line[3, i] = m[0, i] * line[1, 0] + m[1, i] * line[1, 1] + m[2, i] * line[1, 2]
 
 
 @njit(inline="always", **_OPTIONS)
-def _columns_of(line, limit, fx, cx, first, last):
+def _columns_of(form, limit, fx, cx, first, last):
     """The columns, from and to (exclusive), of those from ``first`` to ``last`` that are within the limit."""
-    a, b, c = 0.0, 0.0, 0.0
-    for i in range(3):
-        a += line[3, i] * line[3, i] - limit * line[1, i] * line[1, i]
-        b += line[2, i] * line[3, i] - limit * line[0, i] * line[1, i]
-        c += line[2, i] * line[2, i] - limit * line[0, i] * line[0, i]
+    a = form[0, 2] - limit * form[1, 2]
+    b = 0.5 * (form[0, 1] - limit * form[1, 1])
+    c = form[0, 0] - limit * form[1, 0]
     if not a > 0:
         # The limit reaches behind the camera.
         return first, last
@@ -69,18 +80,13 @@ def _columns_of(line, limit, fx, cx, first, last):
 
 
 @njit(inline="always", **_OPTIONS)
-def _meet(line, center, x, w):
-    """(squared standard deviations left at the peak, its depth, w . w); fills ``w``. A depth of 0 is none."""
-    away, square, along = 0.0, 0.0, 0.0
-    for i in range(3):
-        w[i] = line[0, i] + x * line[1, i]
-        k = line[2, i] + x * line[3, i]
-        away += k * k
-        square += w[i] * w[i]
-        along += w[i] * center[i]
+def _meet(form, x):
+    """(squared standard deviations left at the peak, its depth, |w|^2). A depth of 0 is none."""
+    square = form[1, 0] + x * (form[1, 1] + x * form[1, 2])
     if not square > 0:
         return math.inf, 0.0, 0.0
-    return away / square, along / square, square
+    left = form[0, 0] + x * (form[0, 1] + x * form[0, 2])
+    return max(left, 0.0) / square, (form[2, 0] + x * form[2, 1]) / square, square
 
 
 @njit(inline="always", **_OPTIONS)
@@ -90,13 +96,11 @@ def _times(m, vector, out):
 
 
 @njit(inline="always", **_OPTIONS)
-def _normal_of(m, w, normal):
+def _normal_of(line, x, normal):
     """Of the plane of equal density where the ray peaks, towards the camera: -M^T w, made unit; returns |M^T w|."""
-    for i in range(3):
-        normal[i] = -(m[0, i] * w[0] + m[1, i] * w[1] + m[2, i] * w[2])
-    length = math.sqrt(normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2])
-    for i in range(3):
-        normal[i] /= length
+    n0, n1, n2 = line[2, 0] + x * line[3, 0], line[2, 1] + x * line[3, 1], line[2, 2] + x * line[3, 2]
+    length = math.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
+    normal[0], normal[1], normal[2] = -n0 / length, -n1 / length, -n2 / length
     return length
 
 
@@ -117,7 +121,8 @@ def composite(whites, centers, opacities, limits, colors, lens, lists, starts, c
         moments[top:bottom, side:end] = 0
         left[top:bottom, side:end] = 1
         last[top:bottom, side:end] = 0
-        cofactors, line, w, center, normal = np.empty((3, 3)), np.empty((4, 3)), np.empty(3), np.empty(3), np.empty(3)
+        cofactors, line, form = np.empty((3, 3)), np.empty((4, 3)), np.empty((3, 3))
+        center, normal = np.empty(3), np.empty(3)
         lit = (bottom - top) * (end - side)
         for at in range(starts[tile], starts[tile + 1]):
             if lit == 0:
@@ -127,18 +132,19 @@ def composite(whites, centers, opacities, limits, colors, lens, lists, starts, c
             _cofactors(m, cofactors)
             _times(m, centers[g], center)
             for row in range(top, bottom):
-                _row_of(m, cofactors, centers[g], (row + 0.5 - cy) / fy, line)
-                first, beyond = _columns_of(line, limit, fx, cx, side, end)
+                _row_of(m, cofactors, centers[g], center, (row + 0.5 - cy) / fy, line, form)
+                first, beyond = _columns_of(form, limit, fx, cx, side, end)
                 for column in range(first, beyond):
                     light = left[row, column]
                     if light < LEFT_MIN:
                         continue
-                    away, depth, _ = _meet(line, center, (column + 0.5 - cx) / fx, w)
+                    x = (column + 0.5 - cx) / fx
+                    away, depth, _ = _meet(form, x)
                     if not away <= limit or depth <= _FRONT:
                         continue
                     alpha = min(opacities[g] * math.exp(-0.5 * away), ALPHA_MAX)
                     weight = light * alpha
-                    _normal_of(m, w, normal)
+                    _normal_of(line, x, normal)
                     for c in range(channels):
                         out[row, column, c] += weight * colors[g, c]
                     for i in range(3):
@@ -170,10 +176,11 @@ def differentiate(
     rows = (len(starts) - 1) // columns
     deep = -(-rows // BANDS)
     for band in prange(BANDS):
-        cofactors, line, w, center, normal = np.empty((3, 3)), np.empty((4, 3)), np.empty(3), np.empty(3), np.empty(3)
+        cofactors, line, form = np.empty((3, 3)), np.empty((4, 3)), np.empty((3, 3))
+        center, normal = np.empty(3), np.empty(3)
         lights, gone = np.empty((TILE, TILE)), np.empty((TILE, TILE))
         to_white, to_center = np.empty((3, 3)), np.empty(3)
-        d, off, white, to_m, back = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+        w, d, off, white, to_m, back = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
         for tile in range(band * deep * columns, min((band + 1) * deep, rows) * columns):
             top, side = tile // columns * TILE, tile % columns * TILE
             bottom, end = min(top + TILE, height), min(side + TILE, width)
@@ -194,13 +201,13 @@ def differentiate(
                 to_opacity = 0.0
                 for row in range(top, bottom):
                     y = (row + 0.5 - cy) / fy
-                    _row_of(m, cofactors, centers[g], y, line)
-                    first, beyond = _columns_of(line, limit, fx, cx, side, end)
+                    _row_of(m, cofactors, centers[g], center, y, line, form)
+                    first, beyond = _columns_of(form, limit, fx, cx, side, end)
                     for column in range(first, beyond):
                         if place >= last[row, column]:
                             continue
                         x = (column + 0.5 - cx) / fx
-                        away, depth, square = _meet(line, center, x, w)
+                        away, depth, square = _meet(form, x)
                         if not away <= limit or depth <= _FRONT:
                             continue
                         value = math.exp(-0.5 * away)
@@ -208,7 +215,7 @@ def differentiate(
                         light = lights[row - top, column - side] / (1 - alpha)
                         lights[row - top, column - side] = light
                         weight = light * alpha
-                        length = _normal_of(m, w, normal)
+                        length = _normal_of(line, x, normal)
                         by_depth, facing = to_out[row, column, channels + 3], 0.0
                         q = by_depth * depth
                         for c in range(channels):
@@ -229,6 +236,7 @@ def differentiate(
                             to_away = -0.5 * to_alpha * opacity * value
                         d[0], d[1], d[2] = x, y, 1.0
                         for i in range(3):
+                            w[i] = line[0, i] + x * line[1, i]
                             off[i] = centers[g, i] - depth * d[i]
                             to_n = weight * to_out[row, column, channels + i]
                             to_m[i] = -(to_n - weight * facing * normal[i]) / length
@@ -251,12 +259,13 @@ def differentiate(
 
 
 @njit(parallel=True, **_OPTIONS)
-def lower(points, enough, whites, centers, opacities, limits, lens, size, lists, starts, columns, least, seen):
+def lower(points, enough, forms, opacities, limits, lens, size, lists, starts, columns, least, seen):
     """Lower ``least`` [n], the smallest opacity accumulated to each point in any view, to that in this one, and note in
     ``seen`` which points are in its image (paper, eq. 8 to 10); ``points`` in camera coordinates.
 
-    The opacity to a point does not depend on the order of Gaussians. Those that peak behind the point count with what
-    they have at it. A point below ``enough`` is not looked at again, and one that has reached it no further.
+    ``forms`` [g, 10] are M^T M (xx, xy, xz, yy, yz, zz), M^T M mu and mu . M^T M mu. The opacity to a point does not
+    depend on the order of Gaussians. Those that peak behind the point count with what they have at it. A point below
+    ``enough`` is not looked at again, and one that has reached it no further.
     """
     fx, fy, cx, cy = lens[0], lens[1], lens[2], lens[3]
     for n in prange(len(points)):
@@ -272,24 +281,15 @@ def lower(points, enough, whites, centers, opacities, limits, lens, size, lists,
         left = 1.0
         for at in range(starts[tile], starts[tile + 1]):
             g = lists[at]
-            m, c = whites[g], centers[g]
-            square, along, here = 0.0, 0.0, 0.0
-            for i in range(3):
-                w = m[i, 0] * x + m[i, 1] * y + m[i, 2]
-                center = m[i, 0] * c[0] + m[i, 1] * c[1] + m[i, 2] * c[2]
-                square += w * w
-                along += w * center
-            if not square > 0:
+            q = forms[g]
+            along = q[6] * x + q[7] * y + q[8]
+            square = x * (q[0] * x + 2 * (q[1] * y + q[2])) + y * (q[3] * y + 2 * q[4]) + q[5]
+            if not square > 0 or along <= _FRONT * square:
                 continue
-            depth = along / square
-            if depth <= _FRONT:
-                continue
-            reached = min(depth, z)
-            for i in range(3):
-                off = m[i, 0] * (c[0] - reached * x) + m[i, 1] * (c[1] - reached * y) + m[i, 2] * (c[2] - reached)
-                here += off * off
+            reached = min(along / square, z)
+            here = q[9] + reached * (reached * square - 2 * along)
             if here <= limits[g]:
-                left *= 1 - min(opacities[g] * math.exp(-0.5 * here), ALPHA_MAX)
+                left *= 1 - min(opacities[g] * math.exp(-0.5 * max(here, 0.0)), ALPHA_MAX)
                 if 1 - left >= enough:
                     break
         least[n] = min(least[n], 1 - left)

@@ -38,6 +38,15 @@ class Seen:
         """Squared standard deviations beyond which an opacity counts as none."""
         return 2 * (self.opacities.detach().double() / kernels.ALPHA_MIN).log()
 
+    @property
+    def forms(self) -> Float[Tensor, "g 10"]:
+        """Of the squared standard deviations at places: M^T M, M^T M mu and mu . M^T M mu; in double precision."""
+        whites, centers = self.whites.detach().double(), self.centers.detach().double()
+        square = whites.transpose(1, 2) @ whites
+        across = torch.einsum("gij,gj->gi", square, centers)
+        rows, columns = torch.triu_indices(3, 3)
+        return torch.cat([square[:, rows, columns], across, (across * centers).sum(dim=1, keepdim=True)], dim=1)
+
     def tiles(self, camera: Camera) -> TileLists:
         frames = torch.cat([self.axes, self.centers[:, :, None]], dim=2).detach().double()
         return list_tiles(frames, self.limits, camera, tile=kernels.TILE, margin=0.0)

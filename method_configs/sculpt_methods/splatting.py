@@ -9,7 +9,7 @@ from sculpt_plugins.methods.gof.config import GofConfig
 from sculpt_plugins.methods.pgsr.config import PgsrConfig
 from sculpt_plugins.methods.splatting_2d.config import Splatting2dConfig
 from sculpt_plugins.methods.splatting_3d.config import Splatting3dConfig
-from sculpt_plugins.methods.sugar.config import SugarConfig
+from sculpt_plugins.methods.sugar.config import PoissonConfig, SugarConfig
 from sculpt_plugins.observers.console.config import ConsoleConfig
 from sculpt_plugins.observers.recorder.config import RecorderConfig
 from sculpt_plugins.rasterizers.auto.config import AutoRasterizerConfig
@@ -108,9 +108,11 @@ def sugar() -> SugarConfig:
         distance=0.2,  # program
         normals=0.2,  # program
         samples=4096,  # program: 1 000 000
-        level=0.3,  # 4.2, lambda
-        level_points=100_000,  # program: 10 000 000
-        poisson_depth=7,  # program: 10
+        poisson=PoissonConfig(
+            level=0.3,  # 4.2, lambda
+            points=100_000,  # program: 10 000 000
+            depth=7,  # program: 10
+        ),
         rasterizer=like.rasterizer,
         extractor=like.extractor,
         dataset=like.dataset,

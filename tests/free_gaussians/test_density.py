@@ -22,7 +22,7 @@ from sculpt_framework.geometry.signed_distance import EmptySurfaceError
 from sculpt_framework.stress.small import small_scene
 from sculpt_framework.types import Camera, Gaussians, Rendering
 from sculpt_plugins.extractors.marching_tetrahedra.config import MarchingTetrahedraConfig
-from sculpt_plugins.methods.sugar.config import SugarConfig
+from sculpt_plugins.methods.sugar.config import PoissonConfig, SugarConfig
 from sculpt_plugins.methods.sugar.density import density_at, implied, neighbours
 from sculpt_plugins.methods.sugar.drawing import entropy, surface_terms
 from sculpt_plugins.methods.sugar.poisson import PoissonMesher, level_points, poisson
@@ -220,8 +220,8 @@ def test_the_missing_library_is_named_at_the_start(monkeypatch: pytest.MonkeyPat
 def test_it_learns():
     made = config()
     small = replace(
-        made, steps=200, gaussians=600, mesh_cells=32, poisson_depth=5, level_points=4000, samples=256, clear=0.2,
-        density=replace(made.density, every=10),
+        made, steps=200, gaussians=600, mesh_cells=32, samples=256, clear=0.2,
+        poisson=PoissonConfig(points=4000, depth=5), density=replace(made.density, every=10),
     )  # fmt: skip
     session = sculpt.Session(small_scene(), replace(small, holdout_every=4))
     session.run()

@@ -16,6 +16,18 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
+class PoissonConfig:
+    """The Poisson surface of points at a level of the density (4.2)."""
+
+    level: Annotated[float, above(0)] = 0.3
+    """Density at the surface."""
+    points: Annotated[int, at_least(100)] = 100_000
+    """Rays along which that level is looked for, over all views."""
+    depth: Annotated[int, between(3, 12)] = 7
+    """Of the octree that the mesh is made on: cells are a side of the surface's box by two to the power of it."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class SugarConfig(FreeGaussiansConfig):
     """SuGaR (Guedon and Lepetit 2024): Gaussians drawn to one surface, and the Poisson surface of a level of their
     density. Without the refinement, in which Gaussians are bound to the mesh. Needs the extra ``pose``."""
@@ -36,12 +48,7 @@ class SugarConfig(FreeGaussiansConfig):
     """Factor of the squared difference between the density's normals and those of Gaussians."""
     samples: Annotated[int, at_least(1)] = 4096
     """Points that are looked at in a step."""
-    level: Annotated[float, above(0)] = 0.3
-    """Density at the surface."""
-    level_points: Annotated[int, at_least(100)] = 100_000
-    """Rays along which that level is looked for, over all views."""
-    poisson_depth: Annotated[int, between(3, 12)] = 7
-    """Of the octree that the mesh is made on: cells are a side of the surface's box by two to the power of it."""
+    poisson: PoissonConfig = PoissonConfig()
     rasterizer: RasterizerConfig
 
     def build_drawing(self, device: "torch.device") -> "Drawing":

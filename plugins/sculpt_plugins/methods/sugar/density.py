@@ -68,12 +68,13 @@ def density_at(gaussians: Gaussians, points: Float[Tensor, "n 3"], near: Int64[T
 def implied(gaussians: Gaussians, local: Local) -> Implied:
     """Differentiable in the Gaussians. A density of 1 and more is at the surface: distance 0, without gradient."""
     best, density = local.best, local.density
-    steep = local.slope.detach().square().sum(dim=1)
+    slope = local.slope.detach()
+    steep = slope.square().sum(dim=1)
     known = (density > _EMPTY) & (steep > 0) & torch.isfinite(steep)
     within = known & (density < _FULL)
     root = (-2 * torch.where(within, density, 0.5).log()).sqrt()
     size = gaussians.scales[best, 0].clamp(min=_THINNEST)
-    unit = local.slope.detach() * torch.where(known, steep, 1.0).rsqrt()[:, None]
+    unit = torch.where(known[:, None], slope, 0.0) * torch.where(known, steep, 1.0).rsqrt()[:, None]
     cosine = (unit * gaussians.rotations[best, :, 0]).sum(dim=1).abs()
     return Implied(
         distance=torch.where(within, size * root, 0.0), off=torch.where(known, 2 - 2 * cosine, 0.0), known=known

@@ -53,8 +53,8 @@ class PoissonMesher(Mesher):
     def surface(self, drawing: Drawing, gaussians: Gaussians, cameras: Sequence[Camera]) -> Surface:
         points = self._points(drawing, gaussians, cameras)
         if len(points.positions) < _FEWEST:
-            raise EmptySurfaceError(f"{len(points.positions)} points have a density of {self._config.level:g}")
-        mesh = poisson(points, self._config.poisson_depth)
+            raise EmptySurfaceError(f"{len(points.positions)} points have a density of {self._config.poisson.level:g}")
+        mesh = poisson(points, self._config.poisson.depth)
         if not is_closed(mesh):
             return closed_surface(mesh, self._grid, self._config.extractor, self._device)
         return Surface(
@@ -64,14 +64,14 @@ class PoissonMesher(Mesher):
         )
 
     def _points(self, drawing: Drawing, gaussians: Gaussians, cameras: Sequence[Camera]) -> OrientedPoints:
-        chosen = spread(cameras)
+        chosen, level = spread(cameras), self._config.poisson.level
         # The same at each call, so that a mesh can be asked for at any time.
         generator = torch.Generator().manual_seed(self._config.seed)
         found = []
         for camera in chosen:
             rendering = on_white(drawing, gaussians, camera)
             rows, columns = (rendering.alpha > _COVERED).nonzero().unbind(dim=1)
-            count = min(len(rows), -(-self._config.level_points // len(chosen)))
+            count = min(len(rows), -(-self._config.poisson.points // len(chosen)))
             pick = torch.randperm(len(rows), generator=generator)[:count].to(rows.device)
             rows, columns = rows[pick], columns[pick]
             depth = rendering.depth[rows, columns] / rendering.alpha[rows, columns]
@@ -80,9 +80,7 @@ class PoissonMesher(Mesher):
             places = camera.position.to(rays) + depth[:, None] * sight
             sight = torch.nn.functional.normalize(sight, dim=1)
             found += [
-                level_points(
-                    gaussians, places[first : first + _CHUNK], sight[first : first + _CHUNK], self._config.level
-                )
+                level_points(gaussians, places[first : first + _CHUNK], sight[first : first + _CHUNK], level)
                 for first in range(0, count, _CHUNK)
             ]
         if not found:

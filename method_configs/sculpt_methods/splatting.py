@@ -1,12 +1,16 @@
 """Methods of the paper's tables whose Gaussians are free, in a size that suits a CPU."""
 
+from dataclasses import replace
+
 from sculpt_framework.free_gaussians.config import DensityConfig, GaussianRates
 from sculpt_plugins.datasets.auto.config import AutoDatasetConfig
 from sculpt_plugins.extractors.marching_tetrahedra.config import MarchingTetrahedraConfig
+from sculpt_plugins.methods.gof.config import GofConfig
 from sculpt_plugins.methods.pgsr.config import PgsrConfig
 from sculpt_plugins.methods.relightable.config import MaterialRates, RelightableConfig
 from sculpt_plugins.methods.splatting_2d.config import Splatting2dConfig
 from sculpt_plugins.methods.splatting_3d.config import Splatting3dConfig
+from sculpt_plugins.methods.sugar.config import PoissonConfig, SugarConfig
 from sculpt_plugins.observers.console.config import ConsoleConfig
 from sculpt_plugins.observers.recorder.config import RecorderConfig
 from sculpt_plugins.rasterizers.auto.config import AutoRasterizerConfig
@@ -112,6 +116,63 @@ def relightable() -> RelightableConfig:
             light=1e-2,  # program: 0.1 and 1e-3, of the constant harmonic and of the others
         ),
         rasterizer=like.rasterizer,
+        extractor=like.extractor,
+        dataset=like.dataset,
+        observers=like.observers,
+    )
+
+
+def sugar() -> SugarConfig:
+    """SuGaR, a seventh of the paper's steps; its mesh is the Poisson surface of a level of the density (extra pose)."""
+    like = splatting_3d()
+    return SugarConfig(
+        method="sugar",
+        steps=like.steps,  # 5: 15 000, before the refinement
+        gaussians=like.gaussians,
+        sh_degree=like.sh_degree,
+        sh_every=133,  # 3DGS: 1000, of seven and a half times the steps
+        dssim=like.dssim,
+        density=replace(like.density, end=0.47),  # program: until step 7000
+        rates=like.rates,
+        entropy_from=0.47,  # 5: step 7000 of 15 000
+        entropy=0.1,  # program
+        surface_from=0.6,  # 5: step 9000 of 15 000
+        clear=0.5,  # 5
+        distance=0.2,  # program
+        normals=0.2,  # program
+        samples=4096,  # program: 1 000 000
+        poisson=PoissonConfig(
+            level=0.3,  # 4.2, lambda
+            points=100_000,  # program: 10 000 000
+            depth=7,  # program: 10
+        ),
+        rasterizer=like.rasterizer,
+        extractor=like.extractor,
+        dataset=like.dataset,
+        observers=like.observers,
+    )
+
+
+def gof() -> GofConfig:
+    """Gaussian opacity fields, a fifteenth of the paper's steps; a level of the opacity is the mesh. CPU only."""
+    like = splatting_3d()
+    return GofConfig(
+        method="gof",
+        steps=like.steps,  # 4: 30 000
+        gaussians=like.gaussians,
+        sh_degree=like.sh_degree,
+        sh_every=like.sh_every,
+        dssim=like.dssim,
+        density=like.density,  # 3.3: by the sum of the gradients' lengths in pixels; here as 3DGS
+        rates=like.rates,
+        distortion=100.0,  # program, of bounded scenes
+        distortion_from=0.5,  # program: step 15 000 of 30 000
+        normals=0.05,  # program
+        normals_from=0.5,  # program: step 15 000 of 30 000
+        smoothing=0.2,  # program, as Mip-Splatting
+        level=0.5,  # 3.4
+        bisections=8,  # 3.4
+        mesh_gaussians=30_000,  # 3.4: all
         extractor=like.extractor,
         dataset=like.dataset,
         observers=like.observers,

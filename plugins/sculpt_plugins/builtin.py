@@ -72,6 +72,7 @@ METHODS: dict[str, str] = {
     "gaussian-sculpting-paper": "sculpt_methods.paper:gaussian_sculpting_paper",
     "gaussian-sculpting-tiny": "sculpt_methods.sculpting:gaussian_sculpting_tiny",
     "3dgsr": "sculpt_methods.guided:gaussians_3dgsr",
+    "gof": "sculpt_methods.splatting:gof",
     "gsdf": "sculpt_methods.guided:gsdf",
     "nerf": "sculpt_methods.volume_rendered:nerf",
     "neus": "sculpt_methods.volume_rendered:neus",
@@ -79,6 +80,7 @@ METHODS: dict[str, str] = {
     "relightable": "sculpt_methods.splatting:relightable",
     "splatting-2d": "sculpt_methods.splatting:splatting_2d",
     "splatting-3d": "sculpt_methods.splatting:splatting_3d",
+    "sugar": "sculpt_methods.splatting:sugar",
     "volsdf": "sculpt_methods.volume_rendered:volsdf",
 }
 

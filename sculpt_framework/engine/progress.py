@@ -6,6 +6,8 @@ from typing import Any
 
 from torch import Tensor
 
+from sculpt_framework.parameters import state_below
+
 _BEST = "best/"
 
 
@@ -50,5 +52,5 @@ def with_best(latest: Mapping[str, Tensor], best: Mapping[str, Tensor] | None) -
 def split_best(state: Mapping[str, Tensor]) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
     """Inverse of ``with_best``; the second is empty where there was none."""
     latest = {name: value for name, value in state.items() if not name.startswith(_BEST)}
-    best = {name.removeprefix(_BEST): value for name, value in state.items() if name.startswith(_BEST)}
+    best = state_below(state, _BEST)
     return latest, best

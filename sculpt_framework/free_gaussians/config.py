@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     import torch
 
     from sculpt_framework.free_gaussians.drawing import Drawing
+    from sculpt_framework.free_gaussians.meshing import Mesher
+    from sculpt_framework.geometry.grid import Grid
     from sculpt_framework.reconstructor import Host, Reconstructor
     from sculpt_framework.types import Camera, Rendering, Scene
 
@@ -55,7 +57,8 @@ class GaussianRates:
 
 @dataclass(frozen=True, kw_only=True)
 class FreeGaussiansConfig(MethodConfig, ABC):
-    """Gaussians that start at random in the box, one view a step; a mesh by fusing the depths that they show."""
+    """Gaussians that start at random in the box, one view a step; unless a method has another way, a mesh by fusing
+    the depths that they show."""
 
     gaussians: Annotated[int, at_least(4)] = 10_000
     """How many there are to begin with."""
@@ -66,13 +69,28 @@ class FreeGaussiansConfig(MethodConfig, ABC):
     dssim: Annotated[float, between(0, 1)] = 0.2
     """Share of D-SSIM in the loss."""
     mesh_cells: Annotated[int, at_least(8)] = 128
-    """Of the grid that depths are fused on, along the box's longest side."""
+    """Of the grid that a mesh is made on, along the box's longest side."""
     density: DensityConfig = DensityConfig()
     rates: GaussianRates = GaussianRates()
     extractor: ExtractorConfig
 
     @abstractmethod
     def build_drawing(self, device: "torch.device") -> "Drawing": ...
+
+    def build_mesher(self, grid: "Grid", device: "torch.device") -> "Mesher":
+        from sculpt_framework.free_gaussians.meshing import FusedDepths
+
+        return FusedDepths(grid, self.extractor, device)
+
+    def least_opacity(self, before: float, progress: float) -> float:
+        """Gaussians with less are dropped, besides what ``density`` drops, ahead of the step that begins when such a
+        share of the run is done; the one before began at ``before``. 0: none."""
+        return 0.0
+
+    @property
+    def stretches(self) -> tuple[float, ...]:
+        """Shares of the run at which what is learned becomes another: the result is of the time after the last."""
+        return ()
 
     def pick_device(self) -> "torch.device":
         """Raises DeviceError for one that is not there."""

@@ -18,19 +18,17 @@ from sculpt_framework.free_gaussians.drawing import Lesson, colors_of_nearest, o
 from sculpt_framework.free_gaussians.splats import Splats
 from sculpt_framework.geometry.grid import grid_over_box
 from sculpt_framework.losses import TrainingImage
+from sculpt_framework.parameters import state_below
 from sculpt_framework.posed_images.training_images import prepare_images
 from sculpt_framework.reconstructor import Host, Moment, Reconstructor, StepReport
-from sculpt_framework.shape_from_images.tsdf import fuse_renderings, surface_of
 from sculpt_framework.types import Camera, Rendering, Scene
 
-_FUSED = 40
-"""Training views whose depths are fused to a mesh, spread evenly over all."""
 LAST_MEANS_RATE = 0.01
 """Of the means, the share that their learning rate ends at (3DGS, program)."""
 
 
 class FreeGaussiansReconstructor(Reconstructor):
-    """Gaussians in space, drawn and taught as the config says; a mesh by fusing depths that training views see."""
+    """Gaussians in space, drawn, taught and made a mesh of as the config says."""
 
     def __init__(self, config: FreeGaussiansConfig, scene: Scene, host: Host):
         self._config, self._box, self._host = config, scene.box, host
@@ -38,6 +36,7 @@ class FreeGaussiansReconstructor(Reconstructor):
         self._generator = torch.Generator().manual_seed(config.seed)
         self._drawing = config.build_drawing(self._device)
         self._grid = grid_over_box(scene.box.half_sides.float(), config.mesh_cells)
+        self._mesher = config.build_mesher(self._grid, self._device)
         self._images: list[TrainingImage] = []
         self._order: list[int] = []
         """Views that are still to come before each has been looked at again."""
@@ -48,7 +47,8 @@ class FreeGaussiansReconstructor(Reconstructor):
         self._splats = start.owning(self._drawing.own_values(start.gaussians(1)), self._drawing.own_rates())
         self._shared = Adam(self._drawing.parameter_groups())
         """Of what is learned beside the Gaussians."""
-        self._taken = 0
+        self._taken, self._progress = 0, 0.0
+        """Steps taken, and the share of the run that was done when the last one was about to begin."""
         self._mesh: Mesh | None = None
         self._faces = 0
         """Of the mesh that was asked for last."""
@@ -57,6 +57,19 @@ class FreeGaussiansReconstructor(Reconstructor):
 
     def begin(self) -> None:
         return
+
+    def settle(self, moment: Moment) -> None:
+        before, self._progress = self._progress, moment.progress
+        if least := self._config.least_opacity(before, moment.progress):
+            self._splats, self._mesh = self._splats.without_clear(least), None
+
+    @property
+    def stage(self) -> int:
+        return sum(self._progress >= share for share in self._config.stretches)
+
+    @property
+    def stages(self) -> int:
+        return 1 + len(self._config.stretches)
 
     def step(self, moment: Moment) -> StepReport:
         config, splats, image = self._config, self._splats, self._next_image()
@@ -84,7 +97,7 @@ class FreeGaussiansReconstructor(Reconstructor):
         self._mesh = None
         density = config.density
         if density.begin <= moment.progress < density.end and self._taken % density.every == 0:
-            self._splats = splats.renewed(density, self._generator)
+            self._splats = self._splats.renewed(density, self._generator)
         told = {name: float(term.detach()) for name, term in terms.items()}
         facts = {"gaussians": len(self._splats)}
         return StepReport(loss=float(loss.detach()), terms=told, faces=self._faces, facts=facts)
@@ -105,17 +118,12 @@ class FreeGaussiansReconstructor(Reconstructor):
 
     @torch.no_grad()
     def mesh(self) -> Mesh:
-        """What all images that show a place hide there is inside: the mesh is closed by it."""
         if self._mesh is None:
-            gaussians, views = self._splats.gaussians(1), self._host.views
-            chosen = np.unique(np.linspace(0, len(views) - 1, _FUSED).round().astype(int))
             cameras = [
-                self._box.camera_to_object(views[index].camera).to(self._device, torch.float32) for index in chosen
+                self._box.camera_to_object(view.camera).to(self._device, torch.float32) for view in self._host.views
             ]
-            seen = ((camera, on_white(self._drawing, gaussians, camera)) for camera in cameras)
-            level, seeds = surface_of(fuse_renderings(seen, self._grid), self._grid, self._device)
-            extractor = self._config.extractor.build(self._grid, self._device)
-            self._mesh = world_mesh(extractor.extract(level, seeds).surface, self._box)[0]
+            surface = self._mesher.surface(self._drawing, self._splats.gaussians(1), cameras)
+            self._mesh = world_mesh(surface, self._box)[0]
             self._faces = len(self._mesh.faces)
         return self._mesh
 
@@ -140,6 +148,7 @@ class FreeGaussiansReconstructor(Reconstructor):
     def state(self) -> dict[str, Tensor]:
         own = {
             "taken": torch.tensor(self._taken),
+            "progress": torch.tensor(self._progress, dtype=torch.float64),
             "order": torch.tensor(self._order, dtype=torch.int64),
             "random": self._generator.get_state(),
             "faces": torch.tensor(self._faces),
@@ -150,17 +159,16 @@ class FreeGaussiansReconstructor(Reconstructor):
         return {name: value.detach().clone().contiguous() for name, value in every.items()}
 
     def load_state(self, state: Mapping[str, Tensor]) -> None:
-        self._taken, self._order = int(state["taken"]), state["order"].tolist()
+        self._taken, self._progress = int(state["taken"]), float(state["progress"])
+        self._order = state["order"].tolist()
         self._generator.set_state(state["random"].clone())
-        own = ("taken", "order", "random", "faces")
+        own = ("taken", "progress", "order", "random", "faces")
         splats = {name: value.to(self._device) for name, value in state.items() if name not in own and "/" not in name}
         self._splats = Splats.of_state(splats, self._config.rates, self._drawing.own_rates())
         with torch.no_grad():
             for place, parameter in enumerate(self._shared.parameters):
                 parameter.copy_(state[f"shared/{place}"])
-        prefix = "shared_optimizer/"
-        moments = {name.removeprefix(prefix): value for name, value in state.items() if name.startswith(prefix)}
-        self._shared.load_state(moments)
+        self._shared.load_state(state_below(state, "shared_optimizer/"))
         self._mesh, self._faces = None, int(state["faces"])
 
 

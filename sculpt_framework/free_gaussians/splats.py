@@ -13,7 +13,7 @@ from sculpt_framework.adam import Adam
 from sculpt_framework.export.gaussian_files import rotations_from_quaternions
 from sculpt_framework.free_gaussians.config import DensityConfig, GaussianRates
 from sculpt_framework.geometry.signed_distance import EmptySurfaceError
-from sculpt_framework.parameters import ParameterGroup
+from sculpt_framework.parameters import ParameterGroup, state_below
 from sculpt_framework.types import Camera, Gaussians
 
 _OPACITY = 0.1
@@ -164,8 +164,8 @@ class Splats:
         state: Mapping[str, Tensor], rates: GaussianRates, own_rates: Mapping[str, float] | None = None
     ) -> "Splats":
         splats = Splats(state, rates, own_rates)
-        splats.means_optimizer.load_state(_part(state, "means_optimizer."))
-        splats.optimizer.load_state(_part(state, "optimizer."))
+        splats.means_optimizer.load_state(state_below(state, "means_optimizer."))
+        splats.optimizer.load_state(state_below(state, "optimizer."))
         splats.pull, splats.shown = state["pull"].clone(), state["shown"].clone()
         return splats
 
@@ -197,9 +197,8 @@ class Splats:
         clones, splits = wanted & ~large, wanted & large
         kept = ~splits & opaque
         rows = torch.cat([kept.nonzero()[:, 0], clones.nonzero()[:, 0], splits.nonzero()[:, 0].repeat(2)])
-        if len(rows) == 0:
-            raise EmptySurfaceError("no Gaussian is left: all are nearly clear")
-        values = {name: parameter[rows].clone() for name, parameter in self.parameters.items()}
+        splats = self._at(rows, fresh=len(rows) - int(kept.sum()))
+        values = splats.parameters
         if halves := 2 * int(splits.sum()):
             noise = torch.randn(halves, 3, generator=generator).to(scales)
             turns = values["quaternions"][-halves:]
@@ -207,10 +206,23 @@ class Splats:
             offset = torch.einsum("gij,gj->gi", turned, noise * scales[rows[-halves:]])
             values["means"][-halves:] += offset
             values["log_scales"][-halves:] -= torch.tensor(_SPLIT).log()
-        splats = Splats(values, self._rates, self._own_rates)
-        fresh = torch.arange(len(rows), device=rows.device) >= int(kept.sum())
-        splats.means_optimizer.load_state(_rows(self.means_optimizer.state(), rows, fresh))
-        splats.optimizer.load_state(_rows(self.optimizer.state(), rows, fresh))
+        return splats
+
+    @torch.no_grad()
+    def without_clear(self, least_opacity: float) -> "Splats":
+        """Those that are at least as opaque. Raises EmptySurfaceError if none is."""
+        return self._at((self.parameters["logits"].sigmoid() >= least_opacity).nonzero()[:, 0], fresh=0)
+
+    def _at(self, rows: Int64[Tensor, " n"], fresh: int) -> "Splats":
+        """Those in these rows, of which so many at the end are new to the optimiser."""
+        if len(rows) == 0:
+            raise EmptySurfaceError("no Gaussian is left: all are nearly clear")
+        splats = Splats(
+            {name: parameter[rows] for name, parameter in self.parameters.items()}, self._rates, self._own_rates
+        )
+        new = torch.arange(len(rows), device=rows.device) >= len(rows) - fresh
+        splats.means_optimizer.load_state(_rows(self.means_optimizer.state(), rows, new))
+        splats.optimizer.load_state(_rows(self.optimizer.state(), rows, new))
         return splats
 
 
@@ -224,7 +236,3 @@ def _rows(state: Mapping[str, Tensor], rows: Int64[Tensor, " n"], fresh: Bool[Te
             found[name] = value[rows].clone()
             found[name][fresh] = 0
     return found
-
-
-def _part(state: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
-    return {name.removeprefix(prefix): value for name, value in state.items() if name.startswith(prefix)}

@@ -21,6 +21,7 @@ from sculpt_framework.guided_gaussians.config import GuidedGaussiansConfig
 from sculpt_framework.guided_gaussians.drawing import FacingSplatting
 from sculpt_framework.guided_gaussians.guide import RayLesson, Shown
 from sculpt_framework.losses import TrainingImage
+from sculpt_framework.parameters import state_below
 from sculpt_framework.posed_images.training_images import prepare_images
 from sculpt_framework.reconstructor import Host, Moment, Reconstructor, StepReport
 from sculpt_framework.types import Camera, Gaussians, Rendering, Scene
@@ -213,11 +214,8 @@ class GuidedGaussiansReconstructor(Reconstructor):
         return {name: value.detach().clone().contiguous() for name, value in every.items()}
 
     def load_state(self, state: Mapping[str, Tensor]) -> None:
-        def part(prefix: str) -> dict[str, Tensor]:
-            return {name.removeprefix(prefix): value for name, value in state.items() if name.startswith(prefix)}
-
-        self._guide.load_state_dict(part("guide/"))
-        self._optimizer.load_state(part("guide_optimizer/"))
+        self._guide.load_state_dict(state_below(state, "guide/"))
+        self._optimizer.load_state(state_below(state, "guide_optimizer/"))
         splats = {name: value.to(self._device) for name, value in state.items() if name not in _OWN and "/" not in name}
         self._splats = Splats.of_state(splats, self._config.rates)
         self._taken, self._order = int(state["taken"]), state["order"].tolist()

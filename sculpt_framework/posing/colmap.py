@@ -45,14 +45,16 @@ class Matched:
     """Photographs it has verified matches with."""
 
 
-def require_pycolmap() -> None:
-    """Raises ComponentImportError, with what to install, where pycolmap is missing."""
+def require_pycolmap(
+    what: str = "finding the cameras of photographs",
+    instead: str = "give photographs with cameras (docs/guide/data.md)",
+) -> None:
+    """Raises ComponentImportError, with what needs it and what to install, where pycolmap is missing."""
     try:
         module = importlib.import_module("pycolmap")
     except ImportError as error:
         raise ComponentImportError(
-            f"finding the cameras of photographs needs pycolmap ({error}); pip install 'gaussian-sculpting[pose]', or "
-            "give photographs with cameras (docs/guide/data.md)."
+            f"{what} needs pycolmap ({error}); pip install 'gaussian-sculpting[pose]', or {instead}."
         ) from error
     module.logging.minloglevel = module.logging.Level.FATAL.value
     # It prints the stack on SIGTERM, which is no fault here.

@@ -20,6 +20,7 @@ from sculpt_framework.evaluation.mesh import Mesh
 from sculpt_framework.export.atomic import write_atomically
 from sculpt_framework.export.mesh_files import vertex_normals
 from sculpt_framework.geometry.grid import grid_over_box
+from sculpt_framework.parameters import state_below
 from sculpt_framework.posed_images.training_images import prepare_images
 from sculpt_framework.reconstructor import Host, Moment, Reconstructor, StepReport
 from sculpt_framework.types import Box, Camera, Rendering, Scene, View
@@ -141,11 +142,8 @@ class VolumeReconstructor(Reconstructor):
         return {name: value.detach().clone().contiguous() for name, value in (volume | optimizer | own).items()}
 
     def load_state(self, state: Mapping[str, Tensor]) -> None:
-        def part(prefix: str) -> dict[str, Tensor]:
-            return {name.removeprefix(prefix): value for name, value in state.items() if name.startswith(prefix)}
-
-        self._volume.load_state_dict(part("volume/"))
-        self._optimizer.load_state(part("optimizer/"))
+        self._volume.load_state_dict(state_below(state, "volume/"))
+        self._optimizer.load_state(state_below(state, "optimizer/"))
         self._occupancy.opacity = state["opacity"].to(self._device).clone()
         self._generator.set_state(state["random"].clone())
         self._mesh, self._faces = None, int(state["faces"])

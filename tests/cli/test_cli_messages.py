@@ -8,7 +8,10 @@ from sculpt_framework.cli.train import main
 from sculpt_framework.command_line.request import parse, read_request
 from sculpt_framework.errors import SculptError
 
-OTHERS = ("3dgsr", "gsdf", "nerf", "neus", "pgsr", "relightable", "splatting-2d", "splatting-3d", "volsdf")
+OTHERS = (
+    *("3dgsr", "gof", "gsdf", "nerf", "neus", "pgsr", "relightable", "splatting-2d", "splatting-3d", "sugar"),
+    "volsdf",
+)
 METHODS = ", ".join([*(f"gaussian-sculpting{end}" for end in ("", "-fine", "-everything", "-paper", "-tiny")), *OTHERS])
 BUILT_IN = "mlp, hash-grid, dense-grid, fancy, plain"
 

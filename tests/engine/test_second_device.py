@@ -150,6 +150,7 @@ def test_volumes_are_rendered_on_another_device(name: str, scene: Scene, monkeyp
         pytest.param("relightable", marks=pytest.mark.slow),
         pytest.param("3dgsr", marks=pytest.mark.slow),
         "gsdf",
+        pytest.param("sugar", marks=pytest.mark.slow),
     ],
 )
 def test_free_gaussians_live_on_another_device(name: str, scene: Scene, monkeypatch: pytest.MonkeyPatch):

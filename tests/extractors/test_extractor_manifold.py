@@ -10,12 +10,13 @@ from hypothesis import strategies as st
 from sampled_grids import all_cells, corner_lookup, unit_grid
 
 from sculpt_framework.config import ExtractorConfig
+from sculpt_framework.geometry.tetrahedra import triangles_of
 from sculpt_framework.geometry.topology import components
 from sculpt_framework.testing import check_extraction
 from sculpt_plugins.extractors.flexicubes.config import FlexiCubesConfig
 from sculpt_plugins.extractors.flexicubes.tables import EDGES, dual_tables, patches, segments
 from sculpt_plugins.extractors.marching_tetrahedra.config import MarchingTetrahedraConfig
-from sculpt_plugins.extractors.marching_tetrahedra.tables import TETRAHEDRA, tetrahedra_tables, triangles_of
+from sculpt_plugins.extractors.marching_tetrahedra.tables import TETRAHEDRA, tetrahedra_tables
 
 CPU = torch.device("cpu")
 CORNERS = [(n & 1, n >> 1 & 1, n >> 2) for n in range(8)]

@@ -22,12 +22,13 @@ from sculpt_framework.shape_from_images.tsdf import fuse_renderings, surface_of
 from sculpt_framework.stress.small import small_scene
 from sculpt_framework.types import Camera, Rendering
 from sculpt_plugins.extractors.marching_tetrahedra.config import MarchingTetrahedraConfig
+from sculpt_plugins.methods.sugar.config import PoissonConfig, SugarConfig
 
 RATES = GaussianRates()
 
 
-def small(steps: int) -> FreeGaussiansConfig:
-    config = sculpt.methods["splatting-3d"]()
+def small(steps: int, name: str = "splatting-3d") -> FreeGaussiansConfig:
+    config = sculpt.methods[name]()
     assert isinstance(config, FreeGaussiansConfig)
     return replace(config, steps=steps, gaussians=600, mesh_cells=32, density=replace(config.density, every=10))
 
@@ -142,16 +143,22 @@ def test_it_learns_and_is_drawn_as_it_was(tmp_path: Path):
 
 
 @pytest.mark.slow
-def test_gone_on_with_it_is_what_it_would_have_been():
+@pytest.mark.parametrize("name", ["splatting-3d", "sugar", "gof"])
+def test_gone_on_with_it_is_what_it_would_have_been(name: str):
     states: dict[int, dict[str, torch.Tensor]] = {}
-    session = sculpt.Session(small_scene(), small(40))
+    config = small(40, name)
+    if isinstance(config, SugarConfig):
+        config = replace(config, clear=0.05, samples=64, poisson=PoissonConfig(points=500, depth=4))
+    session = sculpt.Session(small_scene(), config)
     method = session.reconstructor
     for report in session:
         states[report.step] = method.state()
-    again = sculpt.Session(small_scene(), small(40)).reconstructor
+    again = sculpt.Session(small_scene(), config).reconstructor
     again.load_state(states[10])
     for step in range(10, 40):
-        again.step(Moment(step=step, progress=step / 40))
+        moment = Moment(step=step, progress=step / 40)
+        again.settle(moment)
+        again.step(moment)
     for key, value in again.state().items():
         # What was measured last is told, not learned from.
         assert key == "faces" or torch.equal(value, states[40][key]), key

@@ -18,7 +18,8 @@ from sculpt_framework.geometry.band import CornerSampler, sample_corners
 from sculpt_framework.geometry.grid import unpack_ijk
 from sculpt_framework.geometry.octree import FACE_POINTS, lattice_keys, vertex_level
 from sculpt_framework.geometry.octree_band import OctreeBand, face_lattice
-from sculpt_plugins.extractors.marching_tetrahedra.tables import CODES_PER_TETRAHEDRON, TETRAHEDRA, triangles_of
+from sculpt_framework.geometry.tetrahedra import RIGHT_HANDED, triangles_of
+from sculpt_plugins.extractors.marching_tetrahedra.tables import CODES_PER_TETRAHEDRON, TETRAHEDRA
 
 CENTER = 13
 """Lattice point in the middle of a leaf."""
@@ -27,8 +28,6 @@ _MIDDLES = (1, 5, 7, 3)
 _SIDES = (0, 1, 2, 5, 8, 7, 6, 3)
 """Corners and middles of sides, in turn."""
 _TRIANGLES_PER_FACE = 8
-_RIGHT_HANDED = (0, 1, 2, 4)
-"""Corners of a cell that make a tetrahedron as those round a centre are."""
 CODE_BITS = 7
 """Of the name of a triangle in its cell, as many bits are the lowest of the face key. The others, which tetrahedra
 round a centre need, lie above the level, which is below 16 in any grid: a key has 16 bits per coordinate."""
@@ -163,8 +162,8 @@ class _Tables:
 
 @cache
 def _tables(device: torch.device) -> _Tables:
-    kinds = (*TETRAHEDRA, _RIGHT_HANDED)
-    counts = torch.tensor([len(triangles_of(_RIGHT_HANDED, case)) for case in range(16)])
+    kinds = (*TETRAHEDRA, RIGHT_HANDED)
+    counts = torch.tensor([len(triangles_of(RIGHT_HANDED, case)) for case in range(16)])
     return _Tables(
         kuhn=torch.tensor(TETRAHEDRA, device=device),
         middles=torch.tensor(

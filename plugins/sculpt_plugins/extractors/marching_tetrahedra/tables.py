@@ -10,43 +10,15 @@ from dataclasses import dataclass
 from functools import cache
 from itertools import permutations
 
-import numpy as np
 import torch
 from jaxtyping import Int64
 from torch import Tensor
 
+from sculpt_framework.geometry.tetrahedra import Edge, triangles_of
+
 TETRAHEDRA = tuple((0, 1 << a, 1 << a | 1 << b, 7) for a, b, _ in permutations(range(3)))
 CODES_PER_TETRAHEDRON = 20
 """8 cases of one triangle, 6 of two: with six tetrahedra 120 names, which fit the 7 low bits of a key."""
-
-Edge = tuple[int, int]
-
-
-def _position(edge: Edge) -> np.ndarray:
-    """Middle of an edge given by its two cell corners."""
-    return np.mean([[n & 1, n >> 1 & 1, n >> 2] for n in edge], axis=0)
-
-
-def triangles_of(tetrahedron: tuple[int, ...], case: int) -> list[tuple[Edge, ...]]:
-    """Outward triangles of a tetrahedron whose corner m is inside where bit m of ``case`` is set.
-
-    Each triangle corner is the cell edge, as a pair of cell corners in ascending order, that it lies on.
-    """
-    inner = [corner for m, corner in enumerate(tetrahedron) if case >> m & 1]
-    outer = [corner for m, corner in enumerate(tetrahedron) if not case >> m & 1]
-    if not inner or not outer:
-        return []
-    if len(inner) == 2:
-        (i, j), (k, m) = inner, outer
-        ring = [(i, k), (i, m), (j, m), (j, k)]
-    else:
-        ring = [(i, k) for i in inner for k in outer]
-    first, second, third = (_position(edge) for edge in ring[:3])
-    outward = np.mean([_position((n, n)) for n in outer], axis=0) - np.mean([_position((n, n)) for n in inner], axis=0)
-    if np.dot(np.cross(second - first, third - first), outward) < 0:
-        ring = ring[::-1]
-    ring = [(min(edge), max(edge)) for edge in ring]
-    return [(ring[0], ring[n], ring[n + 1]) for n in range(1, len(ring) - 1)]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

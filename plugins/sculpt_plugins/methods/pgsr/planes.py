@@ -65,7 +65,8 @@ def match_planes(
     places = (maps.covered & inner & (depths_of(maps, image.camera).detach() > 0)).nonzero()
     if len(places) == 0:
         return Match(missed=zero, unlike=zero)
-    chosen = places[torch.randint(len(places), (samples,), generator=generator).to(places.device)]
+    # None twice: gradients of the same pixel would be added up by threads in any order.
+    chosen = places[torch.randperm(len(places), generator=generator)[:samples].to(places.device)]
     rows, columns = chosen[:, 0], chosen[:, 1]
     normal, distance = maps.normal[rows, columns], maps.distance[rows, columns]
     offsets = torch.arange(-_HALF, _HALF + 1, device=rows.device)

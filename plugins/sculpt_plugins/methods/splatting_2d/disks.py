@@ -5,11 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int64
+from jaxtyping import Float
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from sculpt_framework.cpu_kernels import array_of, kernel_cache, share_threads
+from sculpt_framework.free_gaussians.tiles import list_tiles
 from sculpt_framework.rendering.spherical_harmonics import sh_to_rgb
 from sculpt_framework.types import Camera, Gaussians, Rendering
 
@@ -18,8 +19,6 @@ with kernel_cache("disks", Path(__file__).with_name("kernels.py")):
 
 _BLUR = 3.0
 """Pixels around a disk's centre in which its blur may count."""
-_NEAREST = 1e-2
-"""Object units in front of the camera: disks whose centre is nearer are not drawn."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -59,10 +58,9 @@ class _Disks(torch.autograd.Function):
     def forward(ctx, frames: Tensor, opacities: Tensor, features: Tensor, camera: Camera):
         share_threads()
         lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
-        columns, rows = -(-camera.width // kernels.TILE), -(-camera.height // kernels.TILE)
         reach = 2 * (opacities.detach().double() / kernels.ALPHA_MIN).log()
-        order, boxes = _tiles(frames.detach().double(), reach, camera, columns, rows)
-        lists, starts = kernels.tile_lists(order.numpy(), boxes.numpy(), columns, rows)
+        tiles = list_tiles(frames.detach().double(), reach, camera, tile=kernels.TILE, margin=_BLUR)
+        lists, starts, columns = tiles.lists, tiles.starts, tiles.columns
         shape = (camera.height, camera.width)
         out = frames.new_empty(*shape, features.shape[1] + 1)
         # Their differences are small: in single precision nothing would be left of them.
@@ -91,37 +89,3 @@ class _Disks(torch.autograd.Function):
             to_frames.numpy(), to_opacities.numpy(), to_features.numpy(),
         )  # fmt: skip
         return to_frames.sum(dim=0), to_opacities.sum(dim=0), to_features.sum(dim=0), None
-
-
-def _tiles(
-    frames: Float[Tensor, "g 3 3"], limits: Float[Tensor, " g"], camera: Camera, columns: int, rows: int
-) -> tuple[Int64[Tensor, " d"], Int64[Tensor, "g 4"]]:
-    """Which disks are drawn, nearest first, and the tiles each may cover: first and last column and row, the last
-    exclusive.
-
-    ``limits`` are the squared standard deviations that count. The rim is a conic in the image, whose bounds follow from
-    its dual; that of a disk which reaches behind the camera may be anywhere.
-    """
-    depth = frames[:, 2, 2]
-    drawn = torch.isfinite(frames).all(dim=2).all(dim=1) & (depth > _NEAREST) & (limits > 0)
-    signs = torch.stack([limits, limits, torch.full_like(limits, -1.0)], dim=1)
-    ahead, sizes = frames[:, 2], (camera.width, camera.height)
-    whole = (signs * ahead * ahead).sum(dim=1)
-    low, high = [], []
-    for axis, (focal, centre, size) in enumerate(
-        zip((camera.fx, camera.fy), (camera.cx, camera.cy), sizes, strict=True)
-    ):
-        row = focal * frames[:, axis] + centre * ahead
-        middle = (signs * row * ahead).sum(dim=1) / whole
-        half = (middle.square() - (signs * row * row).sum(dim=1) / whole).clamp(min=0).sqrt()
-        point = focal * frames[:, axis, 2] / depth + centre
-        first = torch.where(whole < 0, torch.minimum(middle - half, point - _BLUR), 0.0)
-        last = torch.where(whole < 0, torch.maximum(middle + half, point + _BLUR), float(size))
-        low.append(first.nan_to_num(0).clamp(0, size))
-        high.append(last.nan_to_num(0).clamp(0, size))
-    most = torch.tensor([columns, rows])
-    first = (torch.stack(low, dim=1) / kernels.TILE).floor().long()
-    last = (torch.stack(high, dim=1) / kernels.TILE).ceil().long().minimum(most)
-    boxes = torch.stack([first[:, 0], last[:, 0], first[:, 1], last[:, 1]], dim=1)
-    seen = (drawn & (boxes[:, 1] > boxes[:, 0]) & (boxes[:, 3] > boxes[:, 2])).nonzero()[:, 0]
-    return seen[depth[seen].argsort(stable=True)], boxes

@@ -1,0 +1,1 @@
+"""Gaussian opacity fields (Yu et al. 2024)."""

@@ -1,0 +1,1 @@
+"""SuGaR (Guedon and Lepetit 2024)."""

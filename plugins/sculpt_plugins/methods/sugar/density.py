@@ -58,9 +58,9 @@ def neighbours(gaussians: Gaussians, points: Float[Tensor, "n 3"]) -> Int64[Tens
 
 
 def density_at(gaussians: Gaussians, points: Float[Tensor, "n 3"], near: Int64[Tensor, "n k"]) -> Local:
-    sizes, turns = gaussians.scales[near].clamp(min=_THINNEST), gaussians.rotations[near]
-    white = torch.einsum("nkij,nki->nkj", turns, points[:, None] - gaussians.means[near]) / sizes
-    weight = gaussians.opacities[near] * (-0.5 * white.square().sum(dim=2)).exp()
+    sizes, turns = _of(gaussians.scales, near).clamp(min=_THINNEST), _of(gaussians.rotations, near)
+    white = torch.einsum("nkij,nki->nkj", turns, points[:, None] - _of(gaussians.means, near)) / sizes
+    weight = _of(gaussians.opacities, near) * (-0.5 * white.square().sum(dim=2)).exp()
     slope = -torch.einsum("nk,nkij,nkj->ni", weight, turns, white / sizes)
     return Local(near=near, white=white, density=weight.sum(dim=1), slope=slope)
 
@@ -73,9 +73,14 @@ def implied(gaussians: Gaussians, local: Local) -> Implied:
     known = (density > _EMPTY) & (steep > 0) & torch.isfinite(steep)
     within = known & (density < _FULL)
     root = (-2 * torch.where(within, density, 0.5).log()).sqrt()
-    size = gaussians.scales[best, 0].clamp(min=_THINNEST)
+    size = _of(gaussians.scales[:, 0], best).clamp(min=_THINNEST)
     unit = torch.where(known[:, None], slope, 0.0) * torch.where(known, steep, 1.0).rsqrt()[:, None]
-    cosine = (unit * gaussians.rotations[best, :, 0]).sum(dim=1).abs()
+    cosine = (unit * _of(gaussians.rotations[:, :, 0], best)).sum(dim=1).abs()
     return Implied(
         distance=torch.where(within, size * root, 0.0), off=torch.where(known, 2 - 2 * cosine, 0.0), known=known
     )
+
+
+def _of(values: Float[Tensor, "g ..."], rows: Int64[Tensor, "..."]) -> Float[Tensor, "..."]:
+    """Not values[rows]: the gradient of that is added up by threads in any order, and runs would not repeat."""
+    return values.index_select(0, rows.reshape(-1)).reshape(*rows.shape, *values.shape[1:])

@@ -149,7 +149,7 @@ def test_volumes_are_rendered_on_another_device(name: str, scene: Scene, monkeyp
         "pgsr",
         pytest.param("relightable", marks=pytest.mark.slow),
         pytest.param("3dgsr", marks=pytest.mark.slow),
-        "gsdf",
+        pytest.param("gsdf", marks=pytest.mark.slow),
         pytest.param("sugar", marks=pytest.mark.slow),
     ],
 )

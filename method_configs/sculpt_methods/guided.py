@@ -8,6 +8,7 @@ from sculpt_methods.splatting import splatting_3d
 from sculpt_methods.volume_rendered import neus
 from sculpt_plugins.methods.gaussians_3dgsr.config import Gaussians3dgsrConfig
 from sculpt_plugins.methods.gsdf.config import GsdfConfig, GuidanceConfig
+from sculpt_plugins.methods.neus.config import NeusConfig
 
 
 def gaussians_3dgsr() -> Gaussians3dgsrConfig:
@@ -23,13 +24,7 @@ def gaussians_3dgsr() -> Gaussians3dgsrConfig:
         density=splats.density,
         rates=splats.rates,
         bell=10.0,  # 4.1, beta, learned; its start is ours: wide enough for all Gaussians of the box to be drawn
-        rays=RaysConfig(
-            number=512,  # ours
-            eikonal_weight=0.1,  # as NeuS
-            mask_weight=0.1,  # as NeuS, with masks
-            sharpness=rays.sharpness,
-            sharpness_rate=rays.sharpness_rate,
-        ),
+        rays=_rays(rays),
         agreement=AgreementConfig(
             depth=0.1,  # 4.2; ours
             normal=0.01,  # 4.2; ours
@@ -63,13 +58,7 @@ def gsdf() -> GsdfConfig:
             growing=5e-5,  # 3.2.2, omega_g; program: 2e-4, of anchors; with it all of ours would be cloned
             pruning=0.1,  # 3.2.2, omega_p; ours
         ),
-        rays=RaysConfig(
-            number=512,  # ours; program: 256 and more, as many as fit
-            eikonal_weight=0.1,  # program
-            mask_weight=0.1,  # as NeuS, with masks; the paper has none
-            sharpness=rays.sharpness,
-            sharpness_rate=rays.sharpness_rate,
-        ),
+        rays=_rays(rays),
         agreement=AgreementConfig(
             depth=0.01,  # 3.2.3; program
             normal=0.01,  # 3.2.3; program
@@ -80,4 +69,14 @@ def gsdf() -> GsdfConfig:
         extractor=splats.extractor,
         dataset=splats.dataset,
         observers=splats.observers,
+    )
+
+
+def _rays(like: NeusConfig) -> RaysConfig:
+    return RaysConfig(
+        number=512,  # ours; GSDF's program: 256 and more, as many as fit
+        eikonal_weight=0.1,  # as NeuS, and GSDF's program
+        mask_weight=0.1,  # as NeuS, with masks; GSDF has none
+        sharpness=like.sharpness,
+        sharpness_rate=like.sharpness_rate,
     )

@@ -18,7 +18,7 @@ from sculpt_framework.free_gaussians.drawing import Lesson, colors_of_nearest, o
 from sculpt_framework.free_gaussians.splats import Splats
 from sculpt_framework.geometry.grid import grid_over_box
 from sculpt_framework.losses import TrainingImage
-from sculpt_framework.parameters import state_below
+from sculpt_framework.parameters import check_slopes, state_below
 from sculpt_framework.posed_images.training_images import prepare_images
 from sculpt_framework.reconstructor import Host, Moment, Reconstructor, StepReport
 from sculpt_framework.types import Camera, Rendering, Scene
@@ -89,7 +89,7 @@ class FreeGaussiansReconstructor(Reconstructor):
         splats.zero_grad()
         self._shared.zero_grad()
         loss.backward()
-        splats.check_slopes()
+        check_slopes(splats.parameters.items(), "Gaussians'")
         splats.note(image.camera)
         self._shared.step(moment.rate)
         splats.step(moment.rate, moment.rate * LAST_MEANS_RATE**moment.progress)

@@ -122,12 +122,6 @@ class Splats:
             face=torch.full((len(self),), -1, dtype=torch.int64, device=self.means.device),
         )
 
-    def check_slopes(self) -> None:
-        """Raises FloatingPointError for a gradient that is not finite, before it gets into the parameters."""
-        for name, parameter in self.parameters.items():
-            if parameter.grad is not None and not torch.isfinite(parameter.grad.sum()):
-                raise FloatingPointError(f"the slope by the Gaussians' {name} is not finite")
-
     def note(self, camera: Camera) -> None:
         """Add the gradient that the means have from a rendering for this camera, as it is by places in half images.
 

@@ -12,7 +12,7 @@ from sculpt_framework.volume_rendering.config import RadianceConfig, SdfShape
 if TYPE_CHECKING:
     import torch
 
-    from sculpt_framework.free_gaussians.drawing import Drawing
+    from sculpt_framework.guided_gaussians.drawing import FacingSplatting
     from sculpt_framework.guided_gaussians.guide import Guide
     from sculpt_framework.reconstructor import Host, Reconstructor
     from sculpt_framework.types import Scene
@@ -83,7 +83,7 @@ class GuidedGaussiansConfig(FreeGaussiansConfig, ABC):
         )
         return LogisticVolume(shape, self.rays.sharpness, self.rays.sharpness_rate)
 
-    def build_drawing(self, device: "torch.device") -> "Drawing":
+    def build_drawing(self, device: "torch.device") -> "FacingSplatting":
         from sculpt_framework.guided_gaussians.drawing import FacingSplatting
 
         return FacingSplatting(self.rasterizer.build(device), self.low_pass_px2, self.dssim)

@@ -18,10 +18,9 @@ from sculpt_framework.free_gaussians.reconstructor import LAST_MEANS_RATE
 from sculpt_framework.free_gaussians.splats import Splats
 from sculpt_framework.geometry.grid import grid_over_box
 from sculpt_framework.guided_gaussians.config import GuidedGaussiansConfig
-from sculpt_framework.guided_gaussians.drawing import FacingSplatting
 from sculpt_framework.guided_gaussians.guide import RayLesson, Shown
 from sculpt_framework.losses import TrainingImage
-from sculpt_framework.parameters import state_below
+from sculpt_framework.parameters import check_slopes, state_below
 from sculpt_framework.posed_images.training_images import prepare_images
 from sculpt_framework.reconstructor import Host, Moment, Reconstructor, StepReport
 from sculpt_framework.types import Camera, Gaussians, Rendering, Scene
@@ -47,7 +46,7 @@ class GuidedGaussiansReconstructor(Reconstructor):
         self._config, self._box, self._host = config, scene.box, host
         self._device = config.pick_device()
         self._generator = torch.Generator().manual_seed(config.seed)
-        self._drawing = FacingSplatting(config.rasterizer.build(self._device), config.low_pass_px2, config.dssim)
+        self._drawing = config.build_drawing(self._device)
         self._guide = built_by_seed(config.build_guide, config.seed).to(self._device)
         self._optimizer = Adam(list(self._guide.parameter_groups()), betas=(0.9, 0.99))
         self._occupancy = occupancy_of(config.rays.cells, scene.box, self._device)
@@ -101,8 +100,8 @@ class GuidedGaussiansReconstructor(Reconstructor):
         splats.zero_grad()
         self._optimizer.zero_grad()
         loss.backward()
-        splats.check_slopes()
-        self._check_slopes()
+        check_slopes(splats.parameters.items(), "Gaussians'")
+        check_slopes(self._guide.named_parameters(), "field's")
         splats.note(image.camera)
         splats.step(moment.rate, moment.rate * LAST_MEANS_RATE**moment.progress)
         self._optimizer.step(moment.rate * config.rays.final_rate**moment.progress)
@@ -144,12 +143,6 @@ class GuidedGaussiansReconstructor(Reconstructor):
             cells=self._occupancy.cells,
             generator=self._generator,
         )
-
-    def _check_slopes(self) -> None:
-        """Raises FloatingPointError for a gradient that is not finite, before it gets into the field."""
-        for name, parameter in self._guide.named_parameters():
-            if parameter.grad is not None and not torch.isfinite(parameter.grad.sum()):
-                raise FloatingPointError(f"the slope by the field's {name} is not finite")
 
     @property
     def _bands(self) -> int:

@@ -22,11 +22,12 @@ from sculpt_framework import registry
 from sculpt_framework.geometry.grid import grid_over_box
 from sculpt_framework.sculpting import initial_fit
 from sculpt_framework.sculpting.config import of_sculpting
+from sculpt_framework.shape_from_images import within_hull
 from sculpt_plugins.initializers.photo_hull import initializer
 
 PARTS = {
-    "visual_hull": (initializer, "distances to the silhouettes"),
-    "sample": (initializer, "volume of the visual hull"),
+    "visual_hull": (within_hull, "distances to the silhouettes"),
+    "sample": (within_hull, "volume of the visual hull"),
     "pack_views": (initializer, "smaller images"),
     "find_depths": (initializer, "depth maps"),
     "refine_depths": (initializer, "finer depth maps"),

@@ -15,7 +15,7 @@ from sculpt_framework.errors import DataError
 from sculpt_framework.multi_view_stereo.depth_maps import DepthMaps, StereoOptions, find_depths
 from sculpt_framework.multi_view_stereo.fusion import _whole, fuse
 from sculpt_framework.multi_view_stereo.stereo_views import stereo_views
-from sculpt_framework.shape_from_images import missing
+from sculpt_framework.shape_from_images import missing, within_hull
 from sculpt_framework.shape_from_images.hull import visual_hull
 from sculpt_framework.shape_from_images.volume import Volume, sample
 from sculpt_framework.types import View
@@ -249,7 +249,7 @@ def test_without_any_depth_the_cone_is_closed_too(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Also where closing it once more, after depths, changes nothing worth it."""
-    monkeypatch.setattr(module, "close_unseen", lambda shape, cameras: shape)
+    monkeypatch.setattr(within_hull, "close_unseen", lambda shape, cameras: shape)
     monkeypatch.setattr(
         module, "find_depths", lambda views, solid, options: SimpleNamespace(known=0.0, mean_confidence=0.0)
     )

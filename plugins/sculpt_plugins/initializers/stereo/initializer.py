@@ -11,9 +11,8 @@ from sculpt_framework.geometry.signed_distance import SdfFunction
 from sculpt_framework.initializers import Initializer
 from sculpt_framework.multi_view_stereo.depth_maps import StereoOptions, find_depths
 from sculpt_framework.multi_view_stereo.fusion import fuse
-from sculpt_framework.shape_from_images.closing import close_cones, close_unseen
-from sculpt_framework.shape_from_images.hull import visual_hull
-from sculpt_framework.shape_from_images.volume import sample
+from sculpt_framework.shape_from_images.volume import Volume
+from sculpt_framework.shape_from_images.within_hull import within_hull
 from sculpt_framework.types import View
 from sculpt_plugins.initializers.stereo.config import StereoConfig
 
@@ -39,25 +38,15 @@ class Stereo(Initializer):
         self, views: Sequence[View], half_sides: Float[Tensor, " 3"], device: torch.device
     ) -> Iterator[SdfFunction]:
         config = self._config
-        hull = visual_hull(views, config.max_views, device)
-        yield hull
-        x, y, z = (float(side) for side in half_sides)
-        sampled = sample(hull, (x, y, z), config.cells, device)
-        masked = [view for view in views if view.alpha is not None]
-        chosen = masked[:: max(1, -(-len(masked) // config.max_views))]
-        # Before depths are looked for: in a mirror on the ground, what stands on it is seen once more, below.
-        cameras = [view.camera for view in chosen]
-        solid = close_cones(sampled, cameras)
+        return within_hull(views, half_sides, device, config.cells, config.max_views, self._fused)
+
+    def _fused(self, views: Sequence[View], solid: Volume) -> Volume:
+        config = self._config
         options = StereoOptions(pixels=config.pixels, neighbours=config.neighbours, agreeing=config.agreeing)
-        maps = find_depths(chosen, solid, options)
+        maps = find_depths(views, solid, options)
         self._findings = {"depths_known": maps.known, "confidence": maps.mean_confidence}
-        shape = solid
         if maps.known == 0.0:
             why = "no views stand close enough to each other to compare them: start from the visual hull"
             logging.getLogger("sculpt").info(why)
-        else:
-            shape = fuse(solid, maps)
-        shape = close_unseen(shape, cameras)
-        if shape is sampled:
-            return
-        yield shape.within(hull, device)
+            return solid
+        return fuse(solid, maps)

@@ -12,8 +12,11 @@ WIDTH, HEIGHT = 460.0, 290.0
 _LEFT, _RIGHT, _TOP, _BOTTOM = 76.0, 14.0, 58.0, 48.0
 _TOP_ALONE = 36.0
 """Under the title, where no legend comes between."""
-COLORS = ("#1f6fb4", "#c8553d", "#3a8f5c", "#8a5fb0", "#b8860b", "#c2528b", "#2a9d9d", "#555555")
-"""Told apart in the common kinds of colour blindness, as far as eight can be, and dark enough on white."""
+COLORS = (
+    *("#1f6fb4", "#c8553d", "#3a8f5c", "#8a5fb0", "#b8860b", "#c2528b", "#2a9d9d", "#555555"),
+    *("#0b2f66", "#7a1f1f", "#8fae1b", "#e08fa0"),
+)
+"""The first eight are told apart in the common kinds of colour blindness, as far as eight can be; dark enough on white."""
 _INK, _MUTED, _GRID = "#222222", "#666666", "#e4e4e4"
 _LEGEND_ROW = 18.0
 
@@ -96,7 +99,7 @@ def line_drawing(
 
 
 def series_colors(series: Sequence[Series]) -> Mapping[str, str]:
-    """A colour per name, in the order of the names; from the ninth on colours come again."""
+    """A colour per name, in the order of the names; from the thirteenth on colours come again."""
     names = dict.fromkeys(line.name for line in series)
     return {name: COLORS[index % len(COLORS)] for index, name in enumerate(names)}
 

@@ -16,7 +16,7 @@ COLORS = (
     *("#1f6fb4", "#c8553d", "#3a8f5c", "#8a5fb0", "#b8860b", "#c2528b", "#2a9d9d", "#555555"),
     *("#0b2f66", "#7a1f1f", "#8fae1b", "#e08fa0"),
 )
-"""The first eight are told apart in the common kinds of colour blindness, as far as eight can be; dark enough on white."""
+"""The first eight are told apart in the common kinds of colour blindness, as far as eight can be."""
 _INK, _MUTED, _GRID = "#222222", "#666666", "#e4e4e4"
 _LEGEND_ROW = 18.0
 

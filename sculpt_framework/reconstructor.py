@@ -109,6 +109,9 @@ class Host(ABC):
 class Reconstructor(ABC):
     """One way from posed images to a mesh. Everything not abstract has a default that suits a method of meshes."""
 
+    begins_with_surface: bool = True
+    """Whether what ``begin`` makes is measured. Noise or fog need not be: drawing it takes longer than the rest."""
+
     @abstractmethod
     def begin(self) -> None:
         """Make the surface that is started from. Raises DataError if the views give none."""

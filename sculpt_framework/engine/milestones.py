@@ -6,19 +6,26 @@ from collections.abc import Sequence
 from typing import Any, Literal
 
 _SHARES = (0.25, 0.5)
-"""Shares of the run at which a measurement is owed, whatever it costs; its end is measured anyway."""
+"""Shares of the run at which a measurement is owed; its end is measured anyway."""
 _LATE_SHARES = (0.75, 0.9)
 """The same where steps are counted: no measurement that depends on the clock may choose the state there."""
 _COST_AT_MOST = 0.06
 """Of training time so far, for the measurements in between."""
 _COST_OF_GIVEN = 0.09
 """Of the time a run is given, where that is known, for all measurements together."""
+_AT_END = 2
+"""Measurements at the end: of the last state, and of the result."""
 _COST_OF_END = 6
 """Times what one in between costs: the last state, and the result with all that is measured of one."""
 _OWED = 3
 """Measurements in between that are owed: of the first surface of a stage, and at two shares."""
+_MOST_OF_GIVEN = 0.5
+"""The same for those that are owed."""
 _FARTHEST = 1 / 12
 """Of the time a run is given: no two measurements are farther apart, if they may be had."""
+
+_WAIT = 10.0
+"""Seconds of training before the first measurement where a method begins with no surface."""
 
 
 class Milestones:
@@ -38,6 +45,10 @@ class Milestones:
         """The next surface is the first of its stage, and a measurement of it owed."""
         self._stage_is_new = True
 
+    def wait(self) -> None:
+        """What there is at first is not worth measuring."""
+        self._next_second = min(self._farthest, _WAIT)
+
     def charge(self, seconds: float) -> None:
         """A measurement took so long."""
         self._costs.append(seconds)
@@ -56,7 +67,7 @@ class Milestones:
             self._stage_is_new = False
             return "stage"
         done = self.rows[-1]["progress"] if self.rows else 0.0
-        if any(done < share <= progress for share in self._shares):
+        if any(done < share <= progress for share in self._shares) and self._bearable:
             return "share"
         if trained < self._next_second:
             return None
@@ -64,13 +75,26 @@ class Milestones:
             self._next_second += min((math.sqrt(2) - 1) * self._next_second, self._farthest)
         return "time" if self._affordable(trained) else None
 
+    @property
+    def _bearable(self) -> bool:
+        """Whether one more, and those of the end, leave half of a known time to learn in."""
+        return self._given is None or sum(self._costs) + (1 + _AT_END) * self._usual <= _MOST_OF_GIVEN * self._given
+
     def _affordable(self, trained: float, besides: int = 0) -> bool:
         spent = sum(self._costs)
         if self._given is None:
             return spent <= _COST_AT_MOST * trained
+        return spent + (1 + besides + _COST_OF_END) * self._usual <= _COST_OF_GIVEN * self._given
+
+    @property
+    def seconds_of_end(self) -> float:
+        """How long the measurements at the end will take, by those so far."""
+        return _AT_END * self._usual
+
+    @property
+    def _usual(self) -> float:
         # Not the mean: what there is to start from takes longer, as it is extracted for it, and kernels are loaded.
-        usual = statistics.median(self._costs) if self._costs else 0.0
-        return spent + (1 + besides + _COST_OF_END) * usual <= _COST_OF_GIVEN * self._given
+        return statistics.median(self._costs) if self._costs else 0.0
 
     def add(self, progress: float, row: dict[str, Any]) -> None:
         self.rows.append({**row, "progress": progress})
@@ -86,7 +110,7 @@ class Milestones:
     def of_stage(self, column: str) -> list[tuple[float, float]]:
         """Progress and value of each measurement since the latest stage began, where there is a value."""
         stage = [number for number, row in enumerate(self.rows) if row["reason"] == "stage"]
-        rows = self.rows[stage[-1] :] if stage else []
+        rows = self.rows[stage[-1] :] if stage else [row for row in self.rows if row["reason"] != "start"]
         return [(row["progress"], row[column]) for row in rows if row[column] is not None]
 
     def cut_short(self, factor: float) -> None:

@@ -45,6 +45,11 @@ class Schedule:
         span = self._deadline - self._began
         return 1.0 if span <= 0 else min(1.0, self._done_before + (time.monotonic() - self._began) / span)
 
+    def end_by(self, deadline: float | None) -> None:
+        """Optimisation has to end by this instant, if that is sooner: what follows takes longer than was known."""
+        if self._deadline is not None and deadline is not None:
+            self._deadline = min(self._deadline, deadline)
+
     def cut_short(self) -> float | None:
         """Have a fifth of the run left: what it is from now on, by what it was. None if no more is left anyway.
 

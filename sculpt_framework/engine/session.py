@@ -129,7 +129,7 @@ class Session(Host):
             self.clock.start()
             if self._saved is None:
                 self.reconstructor.begin()
-                self._milestones.enter_stage()
+                self._enter_first_stage()
                 self._schedule.begin()
                 if self.timed and self.progress() >= 1.0:
                     self.warn(announcements.time_is_over(self.config))
@@ -172,6 +172,7 @@ class Session(Host):
             self._milestones.enter_stage()
         # Here a surface has colours of its own, measuring it costs nothing twice, and the clock has gone on.
         measured = self._measure_if_due(self._shared_progress())
+        self._known_good.latest = self._known_good.latest or method.state()
         report = method.step(moment)
         self._known_good.latest = measured or self._known_good.latest  # A step has gone well from it.
         self.step += 1
@@ -284,9 +285,13 @@ class Session(Host):
             with self.clock.pause():
                 self._album.begin(self.reconstructor)
         self._end_if_level()
-        state = self.reconstructor.state()
-        self._known_good.latest = self._known_good.latest or state
-        return state
+        return self.reconstructor.state()
+
+    def _enter_first_stage(self) -> None:
+        if self.reconstructor.begins_with_surface:
+            self._milestones.enter_stage()
+        else:
+            self._milestones.wait()
 
     def _end_if_level(self) -> None:
         """Have a run that gains no more come to its end, and its rates with it."""
@@ -301,6 +306,7 @@ class Session(Host):
 
     def _evaluate(self, reason: str, progress: float) -> None:
         self._measuring.method(reason, progress, self.reconstructor)
+        self._schedule.end_by(self.deadline(share_left=0.0, seconds_left=3.0 + self._milestones.seconds_of_end))
         self._keep_best(reason, self._milestones.latest("psnr"))
 
     def _keep_best(self, reason: str, score: float | None) -> None:
@@ -384,7 +390,7 @@ class Session(Host):
         state, progress = saved
         self._measuring.milestones = Milestones(progress.milestones, self.config.max_time)
         if not self._milestones.staged:  # Stopped before the first step, which measures the first stage.
-            self._milestones.enter_stage()
+            self._enter_first_stage()
         self._schedule.begin(progress.progress)
         self.clock.go_on_from(progress.trained_seconds)
         latest, best = split_best(state)

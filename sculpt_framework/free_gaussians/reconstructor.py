@@ -30,6 +30,8 @@ LAST_MEANS_RATE = 0.01
 class FreeGaussiansReconstructor(Reconstructor):
     """Gaussians in space, drawn, taught and made a mesh of as the config says."""
 
+    begins_with_surface = False
+
     def __init__(self, config: FreeGaussiansConfig, scene: Scene, host: Host):
         self._config, self._box, self._host = config, scene.box, host
         self._device = config.pick_device()

@@ -40,6 +40,8 @@ class GuidedGaussiansReconstructor(Reconstructor):
     """One view a step: the Gaussians are drawn, rays through some of its pixels pass the field, and the guide says what
     each learns of the other."""
 
+    begins_with_surface = False
+
     def __init__(self, config: GuidedGaussiansConfig, scene: Scene, host: Host):
         """Raises DataError for images without masks."""
         require_masks(config.method, host.views)

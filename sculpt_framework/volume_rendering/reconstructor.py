@@ -43,6 +43,8 @@ _RAYS_AT_ONCE, _POINTS_AT_ONCE = 1 << 14, 1 << 18
 class VolumeReconstructor(Reconstructor):
     """Draws pixels at random and moves the volume's parameters by Adam until they look right."""
 
+    begins_with_surface = False
+
     def __init__(self, config: VolumeConfig, scene: Scene, host: Host):
         """Raises DataError for images without masks."""
         require_masks(config.method, host.views)

@@ -291,3 +291,39 @@ def test_held_out_views_are_as_many_as_may_be_looked_at(scene: Scene):
     assert some_views(views, 10, 1) == views[::5]
     assert some_views(views[:2], 10, 1) == views[:2]
     assert some_views([], 10, 1) == []
+
+
+def test_what_is_no_surface_yet_is_not_measured():
+    milestones = Milestones(given=60.0)
+    milestones.wait()
+    assert [milestones.due(0.0, float(second)) for second in range(5)] == [None] * 5
+    assert milestones.due(0.0, 5.0) == "time"
+    free = Milestones()
+    free.wait()
+    assert free.due(0.2, 9.0) is None
+    assert free.due(0.3, 9.0) == "share"
+
+
+def test_measurements_leave_half_of_a_known_length_to_learn_in():
+    milestones = Milestones(given=100.0)
+    milestones.charge(15.0)
+    assert milestones.due(0.3, 0.5) is None  # 15 so far, 15 more, twice that at the end.
+    cheap = Milestones(given=100.0)
+    cheap.charge(12.0)
+    assert cheap.due(0.3, 0.5) == "share"
+    assert cheap.seconds_of_end == 24.0
+
+
+def test_a_deadline_moves_only_to_the_front(monkeypatch: pytest.MonkeyPatch):
+    now = 0.0
+    monkeypatch.setattr(time, "monotonic", lambda: now)
+    schedule = Schedule(8, 100.0)
+    schedule.begin()
+    now = 40.0
+    schedule.end_by(200.0)
+    assert schedule.progress(1) == 0.4
+    schedule.end_by(80.0)
+    assert schedule.progress(1) == 0.5
+    counted = Schedule(8, None)
+    counted.end_by(1.0)
+    assert counted.progress(2) == 0.25

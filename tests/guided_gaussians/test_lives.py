@@ -37,9 +37,9 @@ def test_it_learns_the_shape_and_is_drawn_as_it_was(tmp_path: Path, name: str):
     write_scene(demo_object("blob"), settings, folder)
     session = sculpt.Session(sculpt.load(str(folder)), small(name, 90))
     session.run()
-    first, last = session.curve[0], session.curve[-1]
+    first, last = session.curve[0], session.curve[-1]  # The first at a quarter of the steps.
     assert last["chamfer_ps"] < 0.75 * first["chamfer_ps"]
-    assert last["psnr"] > first["psnr"] + 2
+    assert last["psnr"] > first["psnr"] + 1
     mesh = session.mesh()
     assert mesh.to_trimesh().is_watertight
     assert np.ptp(mesh.colors, axis=0).max() > 0.02

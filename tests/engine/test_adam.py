@@ -64,6 +64,7 @@ def test_a_gradient_that_is_not_a_number_shows():
     assert parameter.isnan().tolist() == [False, True, False]
 
 
+@pytest.mark.slow
 def test_a_run_does_not_load_torchs_compiler():
     """It takes seconds, and nothing is compiled by it."""
     script = (

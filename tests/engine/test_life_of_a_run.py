@@ -84,6 +84,7 @@ def test_a_resumed_run_ends_as_an_unbroken_one(scene: Scene, variant: str, tmp_p
     np.testing.assert_array_equal(whole.colors, resumed.colors)
 
 
+@pytest.mark.slow
 def test_measuring_saving_and_watching_leave_training_as_it_is(
     scene: Scene, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ):
@@ -350,6 +351,7 @@ def test_the_last_step_may_be_the_one_that_fails(scene: Scene, monkeypatch: pyte
     assert np.isfinite(outcome.result.vertices).all()
 
 
+@pytest.mark.slow
 def test_repeated_failure_ends_with_the_best_mesh_so_far(config: MethodConfig, monkeypatch: pytest.MonkeyPatch):
     Poison(when=range(2, 100)).install(monkeypatch)
     with pytest.raises(TrainingFailed, match=r"cannot go on after .* best mesh until then is .*mesh\.ply"):
@@ -401,6 +403,7 @@ def test_a_disk_full_at_the_end_loses_nothing(config: MethodConfig, monkeypatch:
     assert (tmp_path / "run" / "mesh.ply").read_bytes() == (tmp_path / "other" / "mesh.ply").read_bytes()
 
 
+@pytest.mark.slow
 def test_a_report_that_fails_is_a_warning(config: MethodConfig, monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     fail_for(monkeypatch, "report.html", OSError(errno.EROFS, "Read-only file system"))
     run(config, resume=None, started=0.0)
@@ -410,6 +413,7 @@ def test_a_report_that_fails_is_a_warning(config: MethodConfig, monkeypatch: pyt
     assert "Read-only file system" in last["data"]["message"]
 
 
+@pytest.mark.slow
 def test_a_finished_run_without_its_report_gets_it_when_resumed(
     config: MethodConfig, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
@@ -426,6 +430,7 @@ def test_a_finished_run_without_its_report_gets_it_when_resumed(
     assert files_of(folder) == before | {"report.html": page.encode()}
 
 
+@pytest.mark.slow
 def test_a_finished_run_whose_data_are_gone_is_still_finished(
     config: MethodConfig, tmp_path: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
 ):

@@ -75,6 +75,7 @@ def whole(scene_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return trained(config, scene_folder, tmp_path_factory.mktemp("repair") / "whole")
 
 
+@pytest.mark.slow
 def test_outside_the_box_the_mesh_stays_to_the_bit(scene: Scene, whole: Path):
     box = octant(scene, (1, 1, 1))
     output = repaired(words_for(box, whole, "--steps", "2"))

@@ -117,6 +117,7 @@ def test_training_is_the_same_on_another_device(
     np.testing.assert_allclose(there.colors, here.colors, rtol=0, atol=1e-2)
 
 
+@pytest.mark.slow
 def test_every_term_and_decision_of_the_default_works_on_another_device(scene: Scene, monkeypatch: pytest.MonkeyPatch):
     default = of_sculpting(registry.load_method("gaussian-sculpting")())
     stages = (replace(ONE_STAGE[0], image_scale=0.5, inner_steps=1),)

@@ -110,6 +110,7 @@ def test_a_sphere_is_shaped_by_silhouettes_first(scene: Scene):
     require_progress([each["silhouette"] for each in terms[:8]])
 
 
+@pytest.mark.slow
 def test_a_cold_start_is_measured_with_the_colours_it_learned(scene: Scene):
     scores: list[float] = []
     for inner_steps in (1, 300):

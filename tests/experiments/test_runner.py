@@ -108,6 +108,7 @@ def interrupted_runner(folder: Path, kind: str, number: signal.Signals) -> int:
         return process.wait(120)
 
 
+@pytest.mark.slow
 def test_an_interrupt_lets_runs_save_and_the_next_call_goes_on(make_plan: MakePlan, board: SilentBoard, tmp_path: Path):
     assert interrupted_runner(tmp_path, "steps", signal.SIGINT) == 130
     plan = make_plan(13)
@@ -121,6 +122,7 @@ def test_an_interrupt_lets_runs_save_and_the_next_call_goes_on(make_plan: MakePl
     assert board.said == ["resumed scene/s13"]
 
 
+@pytest.mark.slow
 def test_a_run_of_so_many_seconds_starts_again_from_the_beginning(make_plan: MakePlan, tmp_path: Path):
     assert interrupted_runner(tmp_path, "seconds", signal.SIGTERM) == 130
     plan = make_plan(13, timed=True)

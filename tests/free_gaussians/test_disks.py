@@ -70,6 +70,7 @@ def in_torch(gaussians: Gaussians, camera: Camera) -> tuple[Tensor, Tensor, Tens
     return rgb, 1 - light, depth
 
 
+@pytest.mark.slow
 def test_it_draws_what_torch_does():
     some = disks(12, size=0.6)
     drawn, (rgb, alpha, depth) = draw_disks(some, CAMERA, BLACK).rendering, in_torch(some, CAMERA)
@@ -120,6 +121,7 @@ def test_the_distortion_of_two_disks():
     assert float(found) == pytest.approx(0.5 * 0.5 * 0.8 * (m[0] - m[1]) ** 2, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_slopes():
     some = disks(3, seed=2)
     camera = replace(CAMERA, width=9, height=8, cx=4.5, cy=4.0, fx=12.0, fy=12.0)

@@ -74,6 +74,7 @@ def images(gaussians: Gaussians, camera: Camera, smoothing: float) -> tuple[Tens
     return rendering.rgb, rendering.alpha, rendering.depth, rendering.normal, drawn.distortion
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("smoothing", [0.0, 2.0])
 def test_it_draws_and_slopes_are_as_in_torch(smoothing: float):
     given = blobs(12)

@@ -192,6 +192,7 @@ def test_what_gaussians_own_multiplies_with_them():
     assert some.own == {}
 
 
+@pytest.mark.slow
 def test_it_learns_materials_and_light_late_and_masks_where_there_are_any():
     session = sculpt.Session(small_scene(), small(12))
     assert session.reconstructor.state()["shared/0"].shape == (16, 3)

@@ -165,6 +165,7 @@ def test_gone_on_with_it_is_what_it_would_have_been(name: str):
     assert len(states[40]["means"]) != len(states[10]["means"])
 
 
+@pytest.mark.slow
 def test_images_need_no_masks():
     scene = small_scene()
     bare = replace(scene, train=tuple(replace(view, alpha=None) for view in scene.train))

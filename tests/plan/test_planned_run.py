@@ -73,6 +73,7 @@ def test_what_is_left_out_has_no_parameters(scene: Scene) -> None:
     assert numbers == [5 * (3 + 2 + 1 + 27), 5 * 3]
 
 
+@pytest.mark.slow
 def test_what_is_left_out_is_not_imported(scene_folder: Path) -> None:
     script = (
         "import sys, torch\nfrom sculpt_framework.command_line.request import parse\n"

@@ -85,6 +85,7 @@ def test_a_posing_that_is_done_is_not_done_again(taken: Path, posed: Path):
     assert noted.steps == {}
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_cameras_with_any_threads(taken: Path, posed: Path, tmp_path: Path):
     pose(taken, tmp_path / "again", PosingOptions(threads=1), Noted())
     first, second = read_poses(str(posed)), read_poses(str(tmp_path / "again"))

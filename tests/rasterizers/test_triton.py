@@ -233,6 +233,7 @@ def _compile(capability: int, channels: int, folder: Path) -> dict[str, dict]:
     return json.loads(done.stdout)
 
 
+@pytest.mark.slow
 def test_kernels_compile_without_a_gpu(tmp_path: Path):
     """The interpreter takes more than the compiler does."""
     kernels = _compile(80, 3, tmp_path)

@@ -166,6 +166,7 @@ def test_an_exposure_is_learned_for_each_image(scene: sculpt.Scene, named: Named
     assert np.abs(errors).max() < 0.06
 
 
+@pytest.mark.slow
 def test_it_is_kept_and_resumed(scene: sculpt.Scene, named: Named, tmp_path: Path):
     named(ExposureConfig, "exposure")
     dim, _ = dimmed(scene)

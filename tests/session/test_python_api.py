@@ -47,6 +47,7 @@ def test_what_is_offered_is_there_and_loads_late():
     assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 0
 
 
+@pytest.mark.slow
 def test_the_example_of_the_quick_start_runs(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     page = QUICK_START.read_text(encoding="utf-8").partition("## From Python")[2]
     (code,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)[:1]
@@ -90,6 +91,7 @@ def test_reports_come_after_the_start_and_every_step(scene: sculpt.Scene, capsys
     assert capsys.readouterr() == ("", "")
 
 
+@pytest.mark.slow
 def test_two_sessions_do_not_disturb_each_other(scene: sculpt.Scene):
     alone = [run(scene, seed).run().vertices for seed in (0, 1)]
     torch.manual_seed(5)
@@ -130,6 +132,7 @@ def test_an_interrupt_leaves_a_session_that_goes_on(scene: sculpt.Scene, where: 
     assert session.mesh().to_trimesh().is_watertight
 
 
+@pytest.mark.slow
 def test_looking_changes_nothing(scene: sculpt.Scene):
     plain = run(scene).run()
     watched = run(scene)

@@ -105,6 +105,7 @@ def sculpt_train(*words: str, **options) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.slow
 def test_files_the_system_refuses_are_one_line(small_scene: Path, tmp_path: Path):
     words = ["gaussian-sculpting-tiny", "--data", str(small_scene), "--output", str(tmp_path / "run")]
     steps = ["--steps", "2", "--trainer.fit-steps", "5", "--trainer.base-cells", "8"]
@@ -117,6 +118,7 @@ def test_files_the_system_refuses_are_one_line(small_scene: Path, tmp_path: Path
     assert not list((tmp_path / "run").rglob("*.partial"))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="needs a folder in which nobody may write")
 def test_a_folder_nobody_may_write_is_one_line(small_scene: Path):
     done = sculpt_train("gaussian-sculpting-tiny", "--data", str(small_scene), "--output", "/proc/run")

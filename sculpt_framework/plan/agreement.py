@@ -48,7 +48,7 @@ def stereo(config: SculptingConfig, evidence: Evidence) -> Ruling:
     if evidence.gloss is None:
         return Ruling(config=config, value="as the method starts", evidence=why, measured=measured)
     uneven = evidence.gloss.unevenness
-    why += f"; {_differing(uneven)}"
+    why += f"; {differing(uneven)}"
     measured |= {"unevenness": uneven, "cut": evidence.cut}
     if evidence.cut >= CUT:
         why += f"; {100 * evidence.cut:.0f} % of the masks are cut by the border"
@@ -94,7 +94,7 @@ def light(config: SculptingConfig, evidence: Evidence) -> Ruling:
         why = "how colours change with the view cannot be told"
         return Ruling(config=config, value="as the method has it", evidence=why)
     uneven = evidence.gloss.unevenness
-    why = _differing(uneven)
+    why = differing(uneven)
     measured = {"unevenness": uneven}
     # Agreement leads no farther than windows overlap: it cannot do without colours from a start that is not near.
     if (uneven < UNEVEN_LIGHT and evidence.cut < CUT) or name_of(config.initializer) != STEREO:
@@ -141,5 +141,5 @@ def _speaking(evidence: Evidence) -> str:
     return f"{100 * evidence.speaking:.1f} % of the object can be told apart from its surroundings in brightness"
 
 
-def _differing(uneven: float) -> str:
+def differing(uneven: float) -> str:
     return f"places differ by {100 * uneven:.1f} % of their brightness between views"

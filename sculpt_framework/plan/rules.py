@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from sculpt_framework import registry
 from sculpt_framework.config import InitializerConfig
-from sculpt_framework.plan.agreement import PHOTOMETRIC, light, stereo
+from sculpt_framework.plan.agreement import PHOTOMETRIC, UNEVEN_COLORS, differing, light, stereo
 from sculpt_framework.plan.evidence import Evidence
 from sculpt_framework.plan.options import option_of, with_options, without
 from sculpt_framework.plan.ruling import Rule, Ruling
@@ -47,6 +47,9 @@ POLISH_GAIN_DB = 0.02
 POLISH_OF_VIEWS, POLISH_FRESH = 3, (60, 200)
 """Steps for each view where Gaussians have to learn their colours anew, and how many at least and at most."""
 ACTIVE_EVERY = 60
+SHADED_DEGREE, SHADED_EVERY, SHADED_RATE = 3, 20, 5e-3
+"""Of colours under light that turns relative to the object: degree, steps until the next is active, rate of all but the
+mean. Shade is as large as colour there, where a highlight is a little on top of it."""
 
 
 def silhouette(config: SculptingConfig, evidence: Evidence) -> Ruling:
@@ -160,12 +163,20 @@ def sh_degree(config: SculptingConfig, evidence: Evidence) -> Ruling:
     wanted = 0 if strength < GLOSS_LEAST else 2 if strength < GLOSS_MUCH else 3
     why = f"places brighten by {strength:.3f} more than they darken in a tenth of the views"
     measured = {"gloss": strength, "points": float(evidence.gloss.points)}
-    if wanted == degree:
+    rate = option_of(config.appearance, "rest_rate")
+    shaded = rate is not None and evidence.gloss.unevenness >= UNEVEN_COLORS
+    if shaded:
+        wanted = SHADED_DEGREE
+        why += f"; {differing(evidence.gloss.unevenness)}"
+        measured["unevenness"] = evidence.gloss.unevenness
+    if wanted == degree and not shaded:
         return Ruling(config=config, value=f"degree {degree}", evidence=why, measured=measured)
     decided = with_options(config, "appearance", sh_degree=wanted)
+    if shaded:
+        decided = with_options(decided, "appearance", rest_rate=max(rate, SHADED_RATE))
     if wanted > 0:
         # A run is shorter than 3DGS': each degree must have its time.
-        every = min(config.trainer.sh_degree_every, ACTIVE_EVERY)
+        every = min(config.trainer.sh_degree_every, SHADED_EVERY if shaded else ACTIVE_EVERY)
         decided = with_options(decided, "trainer", sh_degree_every=every)
     fewer = (degree + 1) ** 2 - (wanted + 1) ** 2
     saves = f"{3 * fewer} of {3 * (degree + 1) ** 2} colour numbers per Gaussian" if fewer > 0 else None
@@ -300,7 +311,11 @@ RULES: Sequence[Rule] = (
     Rule(item="level", touches=(STAGES, "trainer.base_cells"), decide=level),
     Rule(item="images", touches=(STAGES,), decide=images),
     Rule(item="refinement", touches=("trainer.cell_pixels", "refine_box"), decide=refinement),
-    Rule(item="sh_degree", touches=("appearance.sh_degree", "trainer.sh_degree_every"), decide=sh_degree),
+    Rule(
+        item="sh_degree",
+        touches=("appearance.sh_degree", "appearance.rest_rate", "trainer.sh_degree_every"),
+        decide=sh_degree,
+    ),
     Rule(
         item="gaussians", touches=("binder", "binder.gaussians_per_face", "trainer.polish_gaussians"), decide=gaussians
     ),

@@ -179,6 +179,14 @@ def test_degree_follows_gloss(strength: float, degree: int) -> None:
         assert degree * config.trainer.sh_degree_every < 1.2 * steps
 
 
+def test_light_that_turns_relative_to_the_object_gets_three_degrees_that_learn_fast() -> None:
+    config, _ = decided(uneven(0.022))
+    values = vars(config.appearance)
+    assert (values["sh_degree"], values["rest_rate"]) == (3, 5e-3)
+    assert config.trainer.sh_degree_every == 20
+    assert vars(decided(uneven(0.01))[0].appearance)["rest_rate"] < 1e-3
+
+
 def test_a_degree_that_is_not_needed_is_left_out() -> None:
     rich = with_options(method(), "appearance", sh_degree=3)
     config, decisions, _ = decide(rich, USUAL, own=rich)

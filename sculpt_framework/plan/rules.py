@@ -172,7 +172,7 @@ def sh_degree(config: SculptingConfig, evidence: Evidence) -> Ruling:
     if wanted == degree and not shaded:
         return Ruling(config=config, value=f"degree {degree}", evidence=why, measured=measured)
     decided = with_options(config, "appearance", sh_degree=wanted)
-    if shaded:
+    if rate is not None and shaded:
         decided = with_options(decided, "appearance", rest_rate=max(rate, SHADED_RATE))
     if wanted > 0:
         # A run is shorter than 3DGS': each degree must have its time.

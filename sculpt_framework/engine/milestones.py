@@ -14,9 +14,9 @@ _COST_AT_MOST = 0.06
 _COST_OF_GIVEN = 0.09
 """Of the time a run is given, where that is known, for all measurements together."""
 _AT_END = 2
-"""Measurements at the end: of the last state, and of the result."""
+"""Measurements at the end, of the last state and of the result: their least cost, where drawing is what costs."""
 _COST_OF_END = 6
-"""Times what one in between costs: the last state, and the result with all that is measured of one."""
+"""The same where a mesh is drawn at once: times what one in between costs, as of the result more is measured."""
 _OWED = 3
 """Measurements in between that are owed: of the first surface of a stage, and at two shares."""
 _MOST_OF_GIVEN = 0.5
@@ -78,13 +78,16 @@ class Milestones:
     @property
     def _bearable(self) -> bool:
         """Whether one more, and those of the end, leave half of a known time to learn in."""
-        return self._given is None or sum(self._costs) + (1 + _AT_END) * self._usual <= _MOST_OF_GIVEN * self._given
+        return self._given is None or self._with_more(1 + _AT_END) <= _MOST_OF_GIVEN * self._given
 
     def _affordable(self, trained: float, besides: int = 0) -> bool:
-        spent = sum(self._costs)
         if self._given is None:
-            return spent <= _COST_AT_MOST * trained
-        return spent + (1 + besides + _COST_OF_END) * self._usual <= _COST_OF_GIVEN * self._given
+            return sum(self._costs) <= _COST_AT_MOST * trained
+        return self._with_more(1 + besides + _COST_OF_END) <= _COST_OF_GIVEN * self._given
+
+    def _with_more(self, number: int) -> float:
+        """Seconds of all measurements so far, and of so many more."""
+        return sum(self._costs) + number * self._usual
 
     @property
     def seconds_of_end(self) -> float:

@@ -172,7 +172,7 @@ class Session(Host):
             self._milestones.enter_stage()
         # Here a surface has colours of its own, measuring it costs nothing twice, and the clock has gone on.
         measured = self._measure_if_due(self._shared_progress())
-        self._known_good.latest = self._known_good.latest or method.state()
+        self._known_good.latest = self._known_good.latest or measured or method.state()
         report = method.step(moment)
         self._known_good.latest = measured or self._known_good.latest  # A step has gone well from it.
         self.step += 1

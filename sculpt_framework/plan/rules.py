@@ -163,24 +163,21 @@ def sh_degree(config: SculptingConfig, evidence: Evidence) -> Ruling:
     wanted = 0 if strength < GLOSS_LEAST else 2 if strength < GLOSS_MUCH else 3
     why = f"places brighten by {strength:.3f} more than they darken in a tenth of the views"
     measured = {"gloss": strength, "points": float(evidence.gloss.points)}
-    rate = option_of(config.appearance, "rest_rate")
-    shaded = rate is not None and evidence.gloss.unevenness >= UNEVEN_COLORS
-    if shaded:
-        wanted = SHADED_DEGREE
+    rate, every, decided = option_of(config.appearance, "rest_rate"), ACTIVE_EVERY, config
+    if rate is not None and evidence.gloss.unevenness >= UNEVEN_COLORS:
+        wanted, every = SHADED_DEGREE, SHADED_EVERY
         why += f"; {differing(evidence.gloss.unevenness)}"
         measured["unevenness"] = evidence.gloss.unevenness
-    if wanted == degree and not shaded:
+        decided = with_options(config, "appearance", rest_rate=max(rate, SHADED_RATE))
+    elif wanted == degree:
         return Ruling(config=config, value=f"degree {degree}", evidence=why, measured=measured)
-    decided = with_options(config, "appearance", sh_degree=wanted)
-    if rate is not None and shaded:
-        decided = with_options(decided, "appearance", rest_rate=max(rate, SHADED_RATE))
+    decided = with_options(decided, "appearance", sh_degree=wanted)
     if wanted > 0:
         # A run is shorter than 3DGS': each degree must have its time.
-        every = min(config.trainer.sh_degree_every, SHADED_EVERY if shaded else ACTIVE_EVERY)
-        decided = with_options(decided, "trainer", sh_degree_every=every)
+        decided = with_options(decided, "trainer", sh_degree_every=min(config.trainer.sh_degree_every, every))
     fewer = (degree + 1) ** 2 - (wanted + 1) ** 2
     saves = f"{3 * fewer} of {3 * (degree + 1) ** 2} colour numbers per Gaussian" if fewer > 0 else None
-    value = f"degree {wanted}, not {degree}"
+    value = f"degree {wanted}, not {degree}" if wanted != degree else f"degree {degree}, learned faster"
     return Ruling(config=decided, value=value, evidence=why, measured=measured, saves=saves)
 
 

@@ -130,9 +130,11 @@ def test_it_learns_and_is_drawn_as_it_was(tmp_path: Path):
     settings = DemoSettings(train_views=12, test_views=2, resolution=48, reference_cells=32)
     write_scene(demo_object("blob"), settings, folder)
     session = sculpt.Session(sculpt.load(str(folder)), replace(small(150), holdout_every=4))
+    next(iter(session))  # What it begins with is in no row of the curve.
+    first = session.evaluator.measure(session.reconstructor)
     session.run()
-    first, last = session.curve[0], session.curve[-1]  # The first at a quarter of the steps.
-    assert last["psnr"] > first["psnr"] + 1
+    last = session.curve[-1]
+    assert last["psnr"] > first["psnr"] + 4
     assert last["gaussians"] > 600
     assert session.mesh().to_trimesh().is_watertight
     assert np.ptp(session.mesh().colors, axis=0).max() > 0.02

@@ -36,10 +36,12 @@ def test_it_learns_the_shape_and_is_drawn_as_it_was(tmp_path: Path, name: str):
     settings = DemoSettings(train_views=11, test_views=2, resolution=48, reference_cells=32)
     write_scene(demo_object("blob"), settings, folder)
     session = sculpt.Session(sculpt.load(str(folder)), small(name, 90))
+    next(iter(session))  # What it begins with is in no row of the curve.
+    first = session.evaluator.measure(session.reconstructor)
     session.run()
-    first, last = session.curve[0], session.curve[-1]  # The first at a quarter of the steps.
+    last = session.curve[-1]
     assert last["chamfer_ps"] < 0.75 * first["chamfer_ps"]
-    assert last["psnr"] > first["psnr"] + 1
+    assert last["psnr"] > first["psnr"] + 2
     mesh = session.mesh()
     assert mesh.to_trimesh().is_watertight
     assert np.ptp(mesh.colors, axis=0).max() > 0.02

@@ -23,6 +23,7 @@ from sculpt_framework.stress.small import small_scene
 from sculpt_framework.types import Camera, Rendering
 from sculpt_plugins.extractors.marching_tetrahedra.config import MarchingTetrahedraConfig
 from sculpt_plugins.methods.sugar.config import PoissonConfig, SugarConfig
+from tests.learning import beginning_of
 
 RATES = GaussianRates()
 
@@ -130,8 +131,7 @@ def test_it_learns_and_is_drawn_as_it_was(tmp_path: Path):
     settings = DemoSettings(train_views=12, test_views=2, resolution=48, reference_cells=32)
     write_scene(demo_object("blob"), settings, folder)
     session = sculpt.Session(sculpt.load(str(folder)), replace(small(150), holdout_every=4))
-    next(iter(session))  # What it begins with is in no row of the curve.
-    first = session.evaluator.measure(session.reconstructor)
+    first = beginning_of(session)
     session.run()
     last = session.curve[-1]
     assert last["psnr"] > first["psnr"] + 4

@@ -16,6 +16,7 @@ from sculpt_framework.export.saved_gaussians import GAUSSIANS_NAME
 from sculpt_framework.guided_gaussians.config import GuidedGaussiansConfig
 from sculpt_framework.reconstructor import Moment
 from sculpt_framework.stress.small import small_scene
+from tests.learning import beginning_of
 
 NAMES = ["3dgsr", "gsdf"]
 
@@ -36,8 +37,7 @@ def test_it_learns_the_shape_and_is_drawn_as_it_was(tmp_path: Path, name: str):
     settings = DemoSettings(train_views=11, test_views=2, resolution=48, reference_cells=32)
     write_scene(demo_object("blob"), settings, folder)
     session = sculpt.Session(sculpt.load(str(folder)), small(name, 90))
-    next(iter(session))  # What it begins with is in no row of the curve.
-    first = session.evaluator.measure(session.reconstructor)
+    first = beginning_of(session)
     session.run()
     last = session.curve[-1]
     assert last["chamfer_ps"] < 0.75 * first["chamfer_ps"]

@@ -22,6 +22,11 @@ _MAP = FAR / (FAR - NEAR)
 _SHARPEST = 0.5
 """Variance, square pixels, of what a disk is at least in the image (paper, eq. 11)."""
 _FLAT = 1e-9
+_LIGHT, _GONE, _LAST, _DISTORTED, _W0, _W1, _W2, _SUMS = range(8)
+"""Planes of a tile's pixels: light left, slope of the loss by it times it, how much of the list counts, slope by the
+distortion, moments; then depth and features."""
+_ALPHA, _VALUE, _X, _DEPTH, _U, _V, _INVERSE, _WEIGHT, _Q, _TO_FRAME, _TO_OPACITY, _TO_FEATURES = *range(10), 18, 19
+"""Rows of lanes: of where a ray meets a disk, weights, and what is added up for the disk."""
 
 
 @njit(inline="always", **_OPTIONS)
@@ -37,8 +42,8 @@ def _row_of(h, y, start, slope):
 
 
 @njit(inline="always", **_OPTIONS)
-def _columns_of(start, slope, limit, across, down, fx, cx, first, last):
-    """The columns, from and to (exclusive), of those from ``first`` to ``last`` that are within the limit.
+def _misses(start, slope, limit, across, down, fx, cx, first, last):
+    """Whether none of the row's pixels from column ``first`` to ``last`` (exclusive) is within the limit.
 
     ``across`` is the column of the disk's centre, ``down`` how far below it the row is, in pixels: its blur counts too.
     """
@@ -58,27 +63,46 @@ def _columns_of(start, slope, limit, across, down, fx, cx, first, last):
     if width > 0:
         width = math.sqrt(width)
         low, high = min(low, across - width), max(high, across + width)
-    if not low <= high:
-        return first, first
     # A hair more, for rounding: what is beyond the limit is told apart again.
-    left = first if low < first else min(int(low - 0.51), last)
-    right = last if high > last else max(int(high + 1.51), first)
-    return max(left, first), min(right, last)
+    return not (low <= high and low <= last + 0.01 and high >= first - 0.01)
 
 
 @njit(inline="always", **_OPTIONS)
-def _meet(h, start, slope, x, right, down):
-    """(squared distance in standard deviations, u, v, depth, whether the ray meets the disk): else it is that from the
-    blur around its centre, ``right`` and ``down`` pixels away."""
-    k0, k1, k2 = start[0] + x * slope[0], start[1] + x * slope[1], start[2] + x * slope[2]
-    blurred = (right * right + down * down) / _SHARPEST
-    if abs(k2) > _FLAT * (abs(k0) + abs(k1)):
-        u, v = k0 / k2, k1 / k2
-        depth = h[2, 0] * u + h[2, 1] * v + h[2, 2]
-        away = u * u + v * v
-        if away <= blurred and depth > 0:
-            return away, u, v, depth, True
-    return blurred, 0.0, 0.0, 1.0 * h[2, 2], False
+def _exp(y):
+    """e^y for -6 <= y <= 0, relative error 1e-8: the sixteenth power of a short series."""
+    y = y / 16
+    p = 1 + y * (1 + y * (1 / 2 + y * (1 / 6 + y * (1 / 24 + y * (1 / 120 + y * (1 / 720 + y * (1 / 5040)))))))
+    p = p * p
+    p = p * p
+    p = p * p
+    return p * p
+
+
+@njit(inline="always", **_OPTIONS)
+def _meet(h, start, slope, limit, opacity, side, across, down, fx, cx, lanes):
+    """Where the rays of a row meet the disk: coordinates and depth. A ray that does not, or for which the blur around
+    the disk's centre is nearer, has that in place: then ``_INVERSE``, one over k's third component, is 0."""
+    k0, k1, k2 = start[0], start[1], start[2]
+    l0, l1, l2 = slope[0], slope[1], slope[2]
+    g0, g1, g2 = h[2, 0], h[2, 1], h[2, 2]
+    for lane in range(TILE):
+        column = side + lane + 0.5
+        x, right = (column - cx) / fx, column - across
+        m0, m1, m2 = k0 + x * l0, k1 + x * l1, k2 + x * l2
+        inverse = 1 / m2
+        u, v = m0 * inverse, m1 * inverse
+        depth, away = g0 * u + g1 * v + g2, u * u + v * v
+        blurred = (right * right + down * down) / _SHARPEST
+        met = (abs(m2) > _FLAT * (abs(m0) + abs(m1))) & (away <= blurred) & (depth > 0)
+        away = away if met else blurred
+        value = _exp(max(-0.5 * away, -6.0))
+        lanes[_ALPHA, lane] = min(opacity * value, ALPHA_MAX) if away <= limit else 0.0
+        lanes[_VALUE, lane] = value
+        lanes[_X, lane] = x
+        lanes[_DEPTH, lane] = depth if met else g2
+        lanes[_U, lane] = u if met else 0.0
+        lanes[_V, lane] = v if met else 0.0
+        lanes[_INVERSE, lane] = inverse if met else 0.0
 
 
 @njit(parallel=True, **_OPTIONS)
@@ -93,43 +117,53 @@ def composite(frames, opacities, limits, features, lens, lists, starts, columns,
     for tile in prange(len(starts) - 1):
         top, side = tile // columns * TILE, tile % columns * TILE
         bottom, end = min(top + TILE, height), min(side + TILE, width)
-        out[top:bottom, side:end] = 0
-        moments[top:bottom, side:end] = 0
-        left[top:bottom, side:end] = 1
-        last[top:bottom, side:end] = 0
         start, slope = np.empty(3), np.empty(3)
+        lanes, planes = np.empty((_Q, TILE)), np.zeros((_SUMS + 1 + channels, TILE, TILE))
+        # Beyond the image there is no light, so that nothing is seen there.
+        planes[_LIGHT, : bottom - top, : end - side] = 1
         lit = (bottom - top) * (end - side)
         for at in range(starts[tile], starts[tile + 1]):
             if lit == 0:
                 break
             g = lists[at]
-            h, limit = frames[g], limits[g]
+            h, limit, opacity = frames[g], limits[g], opacities[g]
             across, below = fx * h[0, 2] / h[2, 2] + cx, fy * h[1, 2] / h[2, 2] + cy
-            for row in range(top, bottom):
-                down = row + 0.5 - below
-                _row_of(h, (row + 0.5 - cy) / fy, start, slope)
-                first, beyond = _columns_of(start, slope, limit, across, down, fx, cx, side, end)
-                for column in range(first, beyond):
-                    light = left[row, column]
-                    if light < LEFT_MIN:
-                        continue
-                    px = column + 0.5
-                    away, _, _, depth, _ = _meet(h, start, slope, (px - cx) / fx, px - across, down)
-                    if away > limit:
-                        continue
-                    alpha = min(opacities[g] * math.exp(-0.5 * away), ALPHA_MAX)
+            number = 1.0 * (at + 1 - starts[tile])
+            for row in range(bottom - top):
+                down = top + row + 0.5 - below
+                _row_of(h, (top + row + 0.5 - cy) / fy, start, slope)
+                if _misses(start, slope, limit, across, down, fx, cx, side, end):
+                    continue
+                _meet(h, start, slope, limit, opacity, side, across, down, fx, cx, lanes)
+                dark = 0
+                for lane in range(TILE):
+                    light, depth = planes[_LIGHT, row, lane], lanes[_DEPTH, lane]
+                    alpha = lanes[_ALPHA, lane] if light >= LEFT_MIN else 0.0
                     weight = light * alpha
-                    for c in range(channels):
-                        out[row, column, c] += weight * features[g, c]
-                    out[row, column, channels] += weight * depth
+                    after = light - weight
                     m = _MAP * (1 - NEAR / depth)
-                    moments[row, column, 0] += weight
-                    moments[row, column, 1] += weight * m
-                    moments[row, column, 2] += weight * m * m
-                    light *= 1 - alpha
-                    left[row, column] = light
-                    last[row, column] = at + 1 - starts[tile]
-                    lit -= light < LEFT_MIN
+                    lanes[_WEIGHT, lane] = weight
+                    planes[_W0, row, lane] += weight
+                    planes[_W1, row, lane] += weight * m
+                    planes[_W2, row, lane] += weight * m * m
+                    planes[_SUMS, row, lane] += weight * depth
+                    planes[_LIGHT, row, lane] = after
+                    planes[_LAST, row, lane] = number if alpha > 0 else planes[_LAST, row, lane]
+                    dark += (light >= LEFT_MIN) & (after < LEFT_MIN)
+                lit -= dark
+                for c in range(channels):
+                    feature = 1.0 * features[g, c]
+                    for lane in range(TILE):
+                        planes[_SUMS + 1 + c, row, lane] += lanes[_WEIGHT, lane] * feature
+        for row in range(bottom - top):
+            for lane in range(end - side):
+                for c in range(channels):
+                    out[top + row, side + lane, c] = planes[_SUMS + 1 + c, row, lane]
+                out[top + row, side + lane, channels] = planes[_SUMS, row, lane]
+                for i in range(3):
+                    moments[top + row, side + lane, i] = planes[_W0 + i, row, lane]
+                left[top + row, side + lane] = planes[_LIGHT, row, lane]
+                last[top + row, side + lane] = int(planes[_LAST, row, lane])
 
 
 @njit(parallel=True, **_OPTIONS)
@@ -147,86 +181,108 @@ def differentiate(
     deep = -(-rows // BANDS)
     for band in prange(BANDS):
         start, slope = np.empty(3), np.empty(3)
-        lights, gone = np.empty((TILE, TILE)), np.empty((TILE, TILE))
-        to = np.empty((3, 3))
+        lanes, planes = np.empty((_TO_FEATURES + channels, TILE)), np.empty((_SUMS + 1 + channels, TILE, TILE))
         for tile in range(band * deep * columns, min((band + 1) * deep, rows) * columns):
             top, side = tile // columns * TILE, tile % columns * TILE
             bottom, end = min(top + TILE, height), min(side + TILE, width)
+            planes[:] = 0
             most = 0
-            for row in range(top, bottom):
-                for column in range(side, end):
-                    light = left[row, column]
-                    lights[row - top, column - side] = light
-                    gone[row - top, column - side] = to_left[row, column] * light
-                    most = max(most, last[row, column])
+            for row in range(bottom - top):
+                for lane in range(end - side):
+                    y, x = top + row, side + lane
+                    planes[_LIGHT, row, lane] = left[y, x]
+                    planes[_GONE, row, lane] = to_left[y, x] * left[y, x]
+                    planes[_LAST, row, lane] = last[y, x]
+                    planes[_DISTORTED, row, lane] = to_distortion[y, x]
+                    for i in range(3):
+                        planes[_W0 + i, row, lane] = moments[y, x, i]
+                    planes[_SUMS, row, lane] = to_out[y, x, channels]
+                    for c in range(channels):
+                        planes[_SUMS + 1 + c, row, lane] = to_out[y, x, c]
+                    most = max(most, last[y, x])
             for place in range(most - 1, -1, -1):
                 g = lists[starts[tile] + place]
                 h, limit, opacity = frames[g], limits[g], opacities[g]
-                far = h[2, 2]
-                across, below = fx * h[0, 2] / far + cx, fy * h[1, 2] / far + cy
-                to[:] = 0
-                to_opacity = 0.0
-                for row in range(top, bottom):
-                    down = row + 0.5 - below
-                    y = (row + 0.5 - cy) / fy
+                across, below = fx * h[0, 2] / h[2, 2] + cx, fy * h[1, 2] / h[2, 2] + cy
+                lanes[_TO_FRAME:] = 0
+                for row in range(bottom - top):
+                    down, y = top + row + 0.5 - below, (top + row + 0.5 - cy) / fy
                     _row_of(h, y, start, slope)
-                    first, beyond = _columns_of(start, slope, limit, across, down, fx, cx, side, end)
-                    for column in range(first, beyond):
-                        if place >= last[row, column]:
-                            continue
-                        px = column + 0.5
-                        x, right = (px - cx) / fx, px - across
-                        away, u, v, depth, met = _meet(h, start, slope, x, right, down)
-                        if away > limit:
-                            continue
-                        value = math.exp(-0.5 * away)
-                        alpha = min(opacity * value, ALPHA_MAX)
-                        light = lights[row - top, column - side] / (1 - alpha)
-                        lights[row - top, column - side] = light
-                        weight = light * alpha
+                    if _misses(start, slope, limit, across, down, fx, cx, side, end):
+                        continue
+                    _meet(h, start, slope, limit, opacity, side, across, down, fx, cx, lanes)
+                    for lane in range(TILE):
+                        depth = lanes[_DEPTH, lane]
+                        alpha = lanes[_ALPHA, lane] if place < planes[_LAST, row, lane] else 0.0
+                        light = planes[_LIGHT, row, lane] / (1 - alpha)
                         m = _MAP * (1 - NEAR / depth)
-                        distorted, by_depth = to_distortion[row, column], to_out[row, column, channels]
-                        w0, w1, w2 = moments[row, column, 0], moments[row, column, 1], moments[row, column, 2]
-                        q = by_depth * depth + distorted * (m * m * w0 - 2 * m * w1 + w2)
-                        for c in range(channels):
-                            q += to_out[row, column, c] * features[g, c]
-                            to_features[band, g, c] += weight * to_out[row, column, c]
-                        to_alpha = light * q - gone[row - top, column - side] / (1 - alpha)
-                        gone[row - top, column - side] += weight * q
-                        to_depth = weight * by_depth
-                        to_depth += distorted * 2 * weight * (m * w0 - w1) * _MAP * NEAR / (depth * depth)
-                        to_value = 0.0
-                        if opacity * value < ALPHA_MAX:
-                            to_opacity += to_alpha * value
-                            to_value = to_alpha * opacity
-                        if not met:
-                            slope_x, slope_y = to_value * value * right / _SHARPEST, to_value * value * down / _SHARPEST
-                            to[0, 2] += slope_x * fx / far
-                            to[1, 2] += slope_y * fy / far
-                            to[2, 2] += to_depth - (slope_x * fx * h[0, 2] + slope_y * fy * h[1, 2]) / (far * far)
-                            continue
-                        to[2, 0] += to_depth * u
-                        to[2, 1] += to_depth * v
-                        to[2, 2] += to_depth
-                        du = to_depth * h[2, 0] - to_value * value * u
-                        dv = to_depth * h[2, 1] - to_value * value * v
-                        a0, a1, a2 = x * h[2, 0] - h[0, 0], x * h[2, 1] - h[0, 1], x * h[2, 2] - h[0, 2]
-                        b0, b1, b2 = y * h[2, 0] - h[1, 0], y * h[2, 1] - h[1, 1], y * h[2, 2] - h[1, 2]
-                        k2 = start[2] + x * slope[2]
-                        d0, d1, d2 = du / k2, dv / k2, -(u * du + v * dv) / k2
-                        # k = a x b: slopes by a are b x d, by b are d x a.
-                        da0, da1, da2 = b1 * d2 - b2 * d1, b2 * d0 - b0 * d2, b0 * d1 - b1 * d0
-                        db0, db1, db2 = d1 * a2 - d2 * a1, d2 * a0 - d0 * a2, d0 * a1 - d1 * a0
-                        to[0, 0] -= da0
-                        to[0, 1] -= da1
-                        to[0, 2] -= da2
-                        to[1, 0] -= db0
-                        to[1, 1] -= db1
-                        to[1, 2] -= db2
-                        to[2, 0] += x * da0 + y * db0
-                        to[2, 1] += x * da1 + y * db1
-                        to[2, 2] += x * da2 + y * db2
-                to_opacities[band, g] += to_opacity
-                for i in range(3):
-                    for j in range(3):
-                        to_frames[band, g, i, j] += to[i, j]
+                        spread = m * m * planes[_W0, row, lane] - 2 * m * planes[_W1, row, lane]
+                        spread += planes[_W2, row, lane]
+                        lanes[_ALPHA, lane] = alpha
+                        lanes[_WEIGHT, lane] = light * alpha
+                        lanes[_Q, lane] = planes[_SUMS, row, lane] * depth + planes[_DISTORTED, row, lane] * spread
+                        planes[_LIGHT, row, lane] = light
+                    for c in range(channels):
+                        feature = 1.0 * features[g, c]
+                        for lane in range(TILE):
+                            to = planes[_SUMS + 1 + c, row, lane]
+                            lanes[_Q, lane] += to * feature
+                            lanes[_TO_FEATURES + c, lane] += lanes[_WEIGHT, lane] * to
+                    _slopes_of_row(h, opacity, row, side, y, across, down, fx, fy, lanes, planes)
+                for lane in range(TILE):
+                    to_opacities[band, g] += lanes[_TO_OPACITY, lane]
+                    for i in range(3):
+                        for j in range(3):
+                            to_frames[band, g, i, j] += lanes[_TO_FRAME + 3 * i + j, lane]
+                    for c in range(channels):
+                        to_features[band, g, c] += lanes[_TO_FEATURES + c, lane]
+
+
+@njit(inline="always", **_OPTIONS)
+def _slopes_of_row(h, opacity, row, side, y, across, down, fx, fy, lanes, planes):
+    """Add a row's slopes by the disk's frame and opacity, lane by lane."""
+    h00, h01, h02 = h[0, 0], h[0, 1], h[0, 2]
+    h10, h11, h12 = h[1, 0], h[1, 1], h[1, 2]
+    h20, h21, h22 = h[2, 0], h[2, 1], h[2, 2]
+    b0, b1, b2 = y * h20 - h10, y * h21 - h11, y * h22 - h12
+    for lane in range(TILE):
+        alpha, value, weight, q = lanes[_ALPHA, lane], lanes[_VALUE, lane], lanes[_WEIGHT, lane], lanes[_Q, lane]
+        x, u, v, depth, inverse = (
+            lanes[_X, lane],
+            lanes[_U, lane],
+            lanes[_V, lane],
+            lanes[_DEPTH, lane],
+            lanes[_INVERSE, lane],
+        )
+        gone = planes[_GONE, row, lane]
+        to_alpha = planes[_LIGHT, row, lane] * q - gone / (1 - alpha)
+        planes[_GONE, row, lane] = gone + weight * q
+        # Those that do not count, and those that are as opaque as can be, have no slope.
+        to_alpha = to_alpha if (alpha > 0) & (opacity * value < ALPHA_MAX) else 0.0
+        m = _MAP * (1 - NEAR / depth)
+        pulled = m * planes[_W0, row, lane] - planes[_W1, row, lane]
+        to_depth = weight * planes[_SUMS, row, lane]
+        to_depth += planes[_DISTORTED, row, lane] * 2 * weight * pulled * _MAP * NEAR / (depth * depth)
+        to_exponent = to_alpha * opacity * value
+        met = inverse != 0
+        # Of the blur: by where the disk's centre is in the image.
+        right = side + lane + 0.5 - across
+        blur_x = 0.0 if met else to_exponent * right / _SHARPEST * fx / h22
+        blur_y = 0.0 if met else to_exponent * down / _SHARPEST * fy / h22
+        # Where the ray meets the disk: k = a x b, slopes by a are b x d, by b are d x a.
+        du = to_depth * h20 - to_exponent * u
+        dv = to_depth * h21 - to_exponent * v
+        d0, d1, d2 = du * inverse, dv * inverse, -(u * du + v * dv) * inverse
+        a0, a1, a2 = x * h20 - h00, x * h21 - h01, x * h22 - h02
+        da0, da1, da2 = b1 * d2 - b2 * d1, b2 * d0 - b0 * d2, b0 * d1 - b1 * d0
+        db0, db1, db2 = d1 * a2 - d2 * a1, d2 * a0 - d0 * a2, d0 * a1 - d1 * a0
+        lanes[_TO_OPACITY, lane] += to_alpha * value
+        lanes[_TO_FRAME, lane] -= da0
+        lanes[_TO_FRAME + 1, lane] -= da1
+        lanes[_TO_FRAME + 2, lane] += blur_x - da2
+        lanes[_TO_FRAME + 3, lane] -= db0
+        lanes[_TO_FRAME + 4, lane] -= db1
+        lanes[_TO_FRAME + 5, lane] += blur_y - db2
+        lanes[_TO_FRAME + 6, lane] += to_depth * u + x * da0 + y * db0
+        lanes[_TO_FRAME + 7, lane] += to_depth * v + x * da1 + y * db1
+        lanes[_TO_FRAME + 8, lane] += to_depth + x * da2 + y * db2 - (blur_x * h02 + blur_y * h12) / h22

@@ -29,8 +29,8 @@ _LIGHT, _GONE, _LAST, _DISTORTED, _W0, _W1, _W2, _DEPTHS, _NORMALS, _COLORS = *r
 distortion, moments, depth, normal and colours."""
 _ALPHA, _VALUE, _X, _DEPTH, _SQUARE, _LENGTH, _NORMAL, _WEIGHT, _Q, _FACING = *range(7), 9, 10, 11
 _TO_DEPTH, _TO_AWAY, _TO_M, _TO_WHITE, _TO_CENTER, _TO_OPACITY, _TO_COLORS = 12, 13, 14, 17, 26, 29, 30
-"""Rows of lanes: of where a ray peaks (``_SQUARE`` and ``_LENGTH`` are one over |w|^2 and |M^T w|), weights, slopes, and
-from ``_TO_WHITE`` on what is added up for the Gaussian."""
+"""Rows of lanes: of where a ray peaks (``_SQUARE`` and ``_LENGTH`` are one over |w|^2 and |M^T w|), weights, slopes,
+and from ``_TO_WHITE`` on what is added up for the Gaussian."""
 
 
 @njit(inline="always", **_OPTIONS)

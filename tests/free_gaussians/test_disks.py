@@ -122,6 +122,20 @@ def test_the_distortion_of_two_disks():
     assert float(found) == pytest.approx(0.5 * 0.5 * 0.8 * (m[0] - m[1]) ** 2, rel=1e-3)
 
 
+def test_the_median_depth_is_of_the_disk_at_which_half_of_the_light_is_gone():
+    two = replace(
+        disks(2),
+        means=torch.tensor([[0.0, 0, 0], [0, 0, 0.5]], dtype=torch.float64),
+        scales=torch.tensor([[0.0, 0.3, 0.3]] * 2, dtype=torch.float64),
+        rotations=torch.tensor([[[0.0, 1, 0], [0, 0, 1], [1, 0, 0]]] * 2, dtype=torch.float64),
+    )
+    for front, depth in ((0.4, 3.5), (0.6, 3.0)):
+        opacities = torch.tensor([front, 0.8], dtype=torch.float64)
+        median = draw_disks(replace(two, opacities=opacities), CAMERA, BLACK).median
+        assert float(median[9, 12]) == pytest.approx(depth)
+        assert float(median[0, 0]) == 0
+
+
 @pytest.mark.slow
 def test_slopes():
     some = disks(3, seed=2)

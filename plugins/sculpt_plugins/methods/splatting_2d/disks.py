@@ -28,6 +28,9 @@ class DrawnDisks:
 
     rendering: Rendering
     distortion: Float[Tensor, "h w"]
+    median: Float[Tensor, "h w"]
+    """Depth of the farthest disk that more than half of the light reaches (paper, appendix on depths), 0 where there
+    is none. It has no gradient."""
 
 
 def draw_disks(gaussians: Gaussians, camera: Camera, background: Float[Tensor, " 3"]) -> DrawnDisks:
@@ -45,14 +48,14 @@ def draw_disks(gaussians: Gaussians, camera: Camera, background: Float[Tensor, "
     towards = torch.where(away > 0, -normals, normals)
     colors = sh_to_rgb(gaussians.sh, gaussians.means, camera.position.to(normals))
     features = torch.cat([colors, towards], dim=1)
-    out, left, distortion = _Disks.apply(frames, gaussians.opacities, features, camera)
+    out, left, distortion, median = _Disks.apply(frames, gaussians.opacities, features, camera)
     rgb = out[..., :3] + left[..., None] * background
     rendering = Rendering(rgb=rgb, alpha=1 - left, depth=out[..., 6], normal=out[..., 3:6])
-    return DrawnDisks(rendering=rendering, distortion=distortion)
+    return DrawnDisks(rendering=rendering, distortion=distortion, median=median)
 
 
 class _Disks(torch.autograd.Function):
-    """(features and depth added up, light left, distortion). Not differentiable twice, nor by the camera."""
+    """(features and depth added up, light left, distortion, median). Not differentiable twice, nor by the camera."""
 
     @staticmethod
     def forward(ctx, frames: Tensor, opacities: Tensor, features: Tensor, camera: Camera):
@@ -65,18 +68,19 @@ class _Disks(torch.autograd.Function):
         out = frames.new_empty(*shape, features.shape[1] + 1)
         # Their differences are small: in single precision nothing would be left of them.
         moments = frames.new_empty(*shape, 3, dtype=torch.float64)
-        left, last = frames.new_empty(shape), np.empty(shape, np.int32)
+        left, median, last = frames.new_empty(shape), frames.new_empty(shape), np.empty(shape, np.int32)
         limits = array_of(reach)
         given = (array_of(frames), array_of(opacities), limits, array_of(features), lens, lists, starts, columns)
-        kernels.composite(*given, out.numpy(), moments.numpy(), left.numpy(), last)
+        kernels.composite(*given, out.numpy(), moments.numpy(), left.numpy(), last, median.numpy())
         ctx.save_for_backward(frames, opacities, features, moments, left)
+        ctx.mark_non_differentiable(median)
         ctx.lists = limits, lens, lists, starts, columns, last
         w0, w1, w2 = moments.unbind(dim=2)
-        return out, left, (w0 * w2 - w1 * w1).to(frames)
+        return out, left, (w0 * w2 - w1 * w1).to(frames), median
 
     @staticmethod
     @once_differentiable
-    def backward(ctx, to_out, to_left, to_distortion):  # pyright: ignore[reportIncompatibleMethodOverride]
+    def backward(ctx, to_out, to_left, to_distortion, _):  # pyright: ignore[reportIncompatibleMethodOverride]
         frames, opacities, features, moments, left = ctx.saved_tensors
         limits, lens, lists, starts, columns, last = ctx.lists
         share_threads()

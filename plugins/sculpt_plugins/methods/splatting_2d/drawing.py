@@ -1,5 +1,7 @@
 """What 2DGS learns from: colours, and disks that lie on one surface (Huang et al. 2024, 4.2)."""
 
+from dataclasses import replace
+
 from jaxtyping import Float
 from torch import Tensor
 
@@ -16,7 +18,9 @@ class DiskDrawing(Drawing):
         self._config = config
 
     def draw(self, gaussians: Gaussians, camera: Camera, background: Float[Tensor, " 3"]) -> Rendering:
-        return draw_disks(gaussians, camera, background).rendering
+        # What depths are for here is the mesh: the median is where the surface is, the mean is behind it.
+        drawn = draw_disks(gaussians, camera, background)
+        return replace(drawn.rendering, depth=drawn.median * drawn.rendering.alpha)
 
     def terms(self, gaussians: Gaussians, lesson: Lesson) -> Terms:
         config, drawn = self._config, draw_disks(gaussians, lesson.camera, lesson.background)

@@ -23,8 +23,9 @@ _SHARPEST = 0.5
 """Variance, square pixels, of what a disk is at least in the image (paper, eq. 11)."""
 _FLAT = 1e-9
 _LIGHT, _GONE, _LAST, _DISTORTED, _W0, _W1, _W2, _SUMS = range(8)
+_MEDIAN = _DISTORTED
 """Planes of a tile's pixels: light left, slope of the loss by it times it, how much of the list counts, slope by the
-distortion, moments; then depth and features."""
+distortion or, where there is no loss yet, the median depth, moments; then depth and features."""
 _ALPHA, _VALUE, _X, _DEPTH, _U, _V, _INVERSE, _WEIGHT, _Q, _TO_FRAME, _TO_OPACITY, _TO_FEATURES = *range(10), 18, 19
 """Rows of lanes: of where a ray meets a disk, weights, and what is added up for the disk."""
 
@@ -106,9 +107,10 @@ def _meet(h, start, slope, limit, opacity, side, across, down, fx, cx, lanes):
 
 
 @njit(parallel=True, **_OPTIONS)
-def composite(frames, opacities, limits, features, lens, lists, starts, columns, out, moments, left, last):
+def composite(frames, opacities, limits, features, lens, lists, starts, columns, out, moments, left, last, median):
     """Fill ``out`` [h, w, c + 1] with what features and depth add up to, ``moments`` [h, w, 3] with the sums of weight
-    times 1, m and m^2, ``left`` [h, w] with the light that is left, and ``last`` with how much of the list counts.
+    times 1, m and m^2, ``left`` [h, w] with the light that is left, ``last`` with how much of the list counts, and
+    ``median`` [h, w] with the depth of the farthest disk that more than half of the light reaches; 0 is none.
 
     ``limits`` [g] are the squared distances beyond which a disk's opacity is below ``ALPHA_MIN``.
     """
@@ -149,6 +151,8 @@ def composite(frames, opacities, limits, features, lens, lists, starts, columns,
                     planes[_SUMS, row, lane] += weight * depth
                     planes[_LIGHT, row, lane] = after
                     planes[_LAST, row, lane] = number if alpha > 0 else planes[_LAST, row, lane]
+                    middle = (alpha > 0) & (light > 0.5)
+                    planes[_MEDIAN, row, lane] = depth if middle else planes[_MEDIAN, row, lane]
                     dark += (light >= LEFT_MIN) & (after < LEFT_MIN)
                 lit -= dark
                 for c in range(channels):
@@ -164,6 +168,7 @@ def composite(frames, opacities, limits, features, lens, lists, starts, columns,
                     moments[top + row, side + lane, i] = planes[_W0 + i, row, lane]
                 left[top + row, side + lane] = planes[_LIGHT, row, lane]
                 last[top + row, side + lane] = int(planes[_LAST, row, lane])
+                median[top + row, side + lane] = planes[_MEDIAN, row, lane]
 
 
 @njit(parallel=True, **_OPTIONS)

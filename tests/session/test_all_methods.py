@@ -1,0 +1,104 @@
+"""Every method as a user runs it: watched in a page, killed, resumed, looked at afterwards, and in a batch."""
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+import urllib.request
+from pathlib import Path
+
+import pytest
+import trimesh
+
+from sculpt_framework import registry
+from sculpt_framework.demo_scenes.folder import DemoSettings, write_scene
+from sculpt_framework.demo_scenes.objects import demo_object
+from tests.viewer.training import eventually
+
+GAUSSIANS = ("--gaussians", "500", "--mesh-cells", "24")
+RAYS = ("--mesh-cells", "24", "--cells", "24", "--steps-across", "48", "--rays", "128")
+GUIDED = (*GAUSSIANS, "--rays.cells", "24", "--rays.steps-across", "48", "--rays.number", "64")
+BI_LEVEL = ("--trainer.base-cells", "10", "--trainer.fit-steps", "20", "--trainer.polish-steps", "2")
+SMALL = {
+    **dict.fromkeys(("nerf", "neus", "volsdf"), RAYS),
+    **dict.fromkeys(("3dgsr", "gsdf"), GUIDED),
+    **dict.fromkeys(("splatting-3d", "splatting-2d", "pgsr", "relightable"), GAUSSIANS),
+    "sugar": (*GAUSSIANS, "--samples", "128", "--poisson.points", "2000", "--poisson.depth", "4"),
+    "gof": (*GAUSSIANS, "--mesh-gaussians", "500"),
+    "gaussian-sculpting": BI_LEVEL,
+}
+"""Of every method of the paper's tables, options with which a step is a matter of milliseconds."""
+STEPS = "100"
+
+
+def command(name: str, *words: str) -> list[str]:
+    return [sys.executable, "-c", f"from sculpt_framework.cli.{name} import main; main()", *words]
+
+
+def free_port() -> int:
+    with socket.socket() as some:
+        some.bind(("127.0.0.1", 0))
+        return some.getsockname()[1]
+
+
+def run(name: str, *words: str) -> str:
+    done = subprocess.run(command(name, *words), capture_output=True, text=True, timeout=600, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def is_closed(path: Path) -> bool:
+    mesh = trimesh.load_mesh(path)
+    assert isinstance(mesh, trimesh.Trimesh)
+    return len(mesh.faces) > 0 and mesh.is_watertight
+
+
+@pytest.fixture(scope="module")
+def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("scenes")
+    settings = DemoSettings(train_views=11, test_views=2, resolution=48, reference_cells=32)
+    write_scene(demo_object("blob"), settings, folder / "blob")
+    return folder
+
+
+def test_none_is_left_out():
+    assert set(registry.method_names()) == set(SMALL) | {
+        f"gaussian-sculpting-{variant}" for variant in ("fine", "everything", "paper", "tiny")
+    }
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SMALL)
+def test_it_is_watched_killed_resumed_and_looked_at(name: str, scenes: Path, tmp_path: Path):
+    folder, log, port = tmp_path / "run", tmp_path / "log.txt", free_port()
+    page = ("--viewer", "--observers.viser.port", str(port))
+    words = [name, "--data", str(scenes / "blob"), "--output", str(folder), "--threads", "1", "--steps", STEPS]
+    words += ["--checkpoint-seconds", "0.01", "--observers.recorder.step-seconds", "0", *SMALL[name], *page]
+    with open(log, "wb") as told, subprocess.Popen(command("train", *words), stdout=told, stderr=told) as process:
+
+        def steps() -> int:
+            events = folder / "events.jsonl"
+            return events.read_text().count('"outer_step"') if events.exists() else 0
+
+        eventually(lambda: "viewer at" in log.read_text() or process.poll() is not None, found=log.read_text)
+        assert process.poll() is None, log.read_text()
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}") as answer:
+            assert answer.status == 200
+        eventually(lambda: steps() >= 2 or process.poll() is not None, found=log.read_text)
+        process.send_signal(signal.SIGKILL)
+    assert not (folder / "mesh.ply").exists()
+    run("train", "--resume", str(folder))
+    assert is_closed(folder / "mesh.ply")
+    assert json.loads((folder / "metrics.json").read_text())
+    assert "<svg" in (folder / "report.html").read_text()
+    assert "Chamfer" in run("evaluate", str(folder))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SMALL)
+def test_it_runs_in_a_batch_within_its_time(name: str, scenes: Path, tmp_path: Path):
+    own = (*SMALL[name], "--threads", "1", "--max-time", "12")
+    told = run("batch", str(scenes), name, "--out", str(tmp_path / "out"), "--workers", "1", "--", *own)
+    assert "1 of 1 scenes finished" in told
+    assert is_closed(tmp_path / "out" / "runs" / "blob" / "mesh.ply")

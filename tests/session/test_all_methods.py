@@ -96,7 +96,7 @@ def test_it_is_watched_killed_resumed_and_looked_at(name: str, scenes: Path, tmp
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", SMALL)
+@pytest.mark.parametrize("name", ["volsdf", "splatting-3d", "gof", "gsdf"])
 def test_it_runs_in_a_batch_within_its_time(name: str, scenes: Path, tmp_path: Path):
     own = (*SMALL[name], "--threads", "1", "--max-time", "12")
     told = run("batch", str(scenes), name, "--out", str(tmp_path / "out"), "--workers", "1", "--", *own)

@@ -37,6 +37,9 @@ class DensityConfig:
     """Those with less are dropped."""
     most: Annotated[int, at_least(1)] = 100_000
     """Gaussians from which on none are added."""
+    reset_every: Annotated[int, at_least(0)] = 0
+    """Steps after which opacities fall to twice ``least_opacity`` again, so that those that are not needed stay clear
+    and are dropped; 0 is never."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -97,9 +97,7 @@ class FreeGaussiansReconstructor(Reconstructor):
         splats.step(moment.rate, moment.rate * LAST_MEANS_RATE**moment.progress)
         self._taken += 1
         self._mesh = None
-        density = config.density
-        if density.begin <= moment.progress < density.end and self._taken % density.every == 0:
-            self._splats = self._splats.renewed(density, self._generator)
+        self._splats = self._splats.after(self._taken, moment.progress, config.density, self._generator)
         told = {name: float(term.detach()) for name, term in terms.items()}
         facts = {"gaussians": len(self._splats)}
         return StepReport(loss=float(loss.detach()), terms=told, faces=self._faces, facts=facts)

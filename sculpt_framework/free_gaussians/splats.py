@@ -163,6 +163,23 @@ class Splats:
         splats.pull, splats.shown = state["pull"].clone(), state["shown"].clone()
         return splats
 
+    def after(
+        self,
+        taken: int,
+        progress: float,
+        config: DensityConfig,
+        generator: torch.Generator,
+        worth: "Callable[[Gaussians], Worth] | None" = None,
+    ) -> "Splats":
+        """Renewed and dimmed, where that is due after so many steps. Raises as ``renewed``."""
+        splats = self
+        if config.begin <= progress < config.end:
+            if taken % config.every == 0:
+                splats = splats.renewed(config, generator, worth)
+            if config.reset_every and taken % config.reset_every == 0:
+                splats = splats.dimmed(2 * config.least_opacity)
+        return splats
+
     @torch.no_grad()
     def renewed(
         self, config: DensityConfig, generator: torch.Generator, worth: "Callable[[Gaussians], Worth] | None" = None
@@ -200,6 +217,22 @@ class Splats:
             offset = torch.einsum("gij,gj->gi", turned, noise * scales[rows[-halves:]])
             values["means"][-halves:] += offset
             values["log_scales"][-halves:] -= torch.tensor(_SPLIT).log()
+        return splats
+
+    @torch.no_grad()
+    def dimmed(self, most: float) -> "Splats":
+        """Those that are more opaque than this are as opaque as this; the optimiser forgets how opacities moved (3DGS,
+        5.2)."""
+        logits = self.parameters["logits"].clamp(max=math.log(most / (1 - most)))
+        splats = Splats({**self.parameters, "logits": logits}, self._rates, self._own_rates)
+        splats.means_optimizer.load_state(self.means_optimizer.state())
+        place = list(self.parameters).index("logits") - 1  # The means have an optimiser of their own.
+        moments = {
+            name: torch.zeros_like(value) if name.startswith(f"{place}.") and value.ndim else value
+            for name, value in self.optimizer.state().items()
+        }
+        splats.optimizer.load_state(moments)
+        splats.pull, splats.shown = self.pull, self.shown
         return splats
 
     @torch.no_grad()

@@ -111,9 +111,8 @@ class GuidedGaussiansReconstructor(Reconstructor):
         self._mesh = None
         if self._joint and self._taken % LOOK_EVERY == 0:
             self._look()
-        density = config.density
-        if density.begin <= moment.progress < density.end and self._taken % density.every == 0:
-            self._splats = splats.renewed(density, self._generator, self._guide.worth if self._joint else None)
+        worth = self._guide.worth if self._joint else None
+        self._splats = splats.after(self._taken, moment.progress, config.density, self._generator, worth)
         told = {name: float(term.detach()) for name, term in terms.items()}
         facts = {"gaussians": len(self._splats), **self._guide.facts()}
         return StepReport(loss=float(loss.detach()), terms=told, faces=self._faces, facts=facts)

@@ -115,6 +115,26 @@ def test_what_is_cloned_split_and_dropped():
         splats(3).renewed(replace(density, least_opacity=0.5), torch.Generator())
 
 
+def test_opacities_fall_and_forget_how_they_moved():
+    some = splats(3)
+    for parameter in some.parameters.values():
+        parameter.grad = torch.ones_like(parameter)
+    some.step(1.0, 1.0)
+    with torch.no_grad():
+        some.parameters["logits"][:] = torch.tensor([0.9, 0.005, 0.01]).logit()
+    some.pull, some.shown = torch.arange(3.0), torch.ones(3)
+    after = some.dimmed(0.01)
+    assert torch.allclose(after.parameters["logits"].sigmoid(), torch.tensor([0.01, 0.005, 0.01]))
+    before, now = some.optimizer.state(), after.optimizer.state()
+    changed = {name for name in before if not torch.equal(before[name], now[name])}
+    logits = list(some.parameters).index("logits") - 1
+    assert changed == {f"{logits}.exp_avg", f"{logits}.exp_avg_sq"}
+    assert all((now[name] == 0).all() for name in changed)
+    assert torch.equal(after.pull, some.pull)
+    for name, value in some.parameters.items():
+        assert name == "logits" or torch.equal(value, after.parameters[name])
+
+
 def test_the_harmonics_come_one_degree_after_the_other_and_columns_are_sorted():
     some = splats(3)
     with torch.no_grad():

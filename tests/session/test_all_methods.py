@@ -1,7 +1,6 @@
 """Every method as a user runs it: watched in a page, killed, resumed, reported, and in a batch."""
 
 import json
-import signal
 import socket
 import subprocess
 import sys
@@ -83,12 +82,14 @@ def test_it_is_watched_killed_and_resumed(name: str, scenes: Path, tmp_path: Pat
             events = folder / "events.jsonl"
             return events.read_text().count('"outer_step"') if events.exists() else 0
 
-        eventually(lambda: "viewer at" in log.read_text() or process.poll() is not None, found=log.read_text)
-        assert process.poll() is None, log.read_text()
-        with urllib.request.urlopen(f"http://127.0.0.1:{port}") as answer:
-            assert answer.status == 200
-        eventually(lambda: (steps() >= 2 and saved.exists()) or process.poll() is not None, found=log.read_text)
-        process.send_signal(signal.SIGKILL)
+        try:
+            eventually(lambda: "viewer at" in log.read_text() or process.poll() is not None, found=log.read_text)
+            assert process.poll() is None, log.read_text()
+            with urllib.request.urlopen(f"http://127.0.0.1:{port}") as answer:
+                assert answer.status == 200
+            eventually(lambda: (steps() >= 2 and saved.exists()) or process.poll() is not None, found=log.read_text)
+        finally:
+            process.kill()
     assert not (folder / "mesh.ply").exists()
     run("train", "--resume", str(folder), "--max-time", "8")
     assert is_closed(folder / "mesh.ply")

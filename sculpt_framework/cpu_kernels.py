@@ -24,17 +24,17 @@ with collector_paused():
 
 
 @contextmanager
-def kernel_cache(name: str, sources: Path) -> Iterator[None]:
+def kernel_cache(name: str, *sources: Path) -> Iterator[None]:
     """Kernels defined inside keep their machine code in a folder of the user's, one per state of ``sources``.
 
-    ``sources`` is a Python file or a folder of them. numba alone looks at the file a kernel is written in, and would
+    ``sources`` are Python files or folders of them. numba alone looks at the file a kernel is written in, and would
     go on using code that was compiled with constants another file no longer has. A cache folder the user has set
     (NUMBA_CACHE_DIR) is left as it is. Says so, once, when nothing is compiled yet.
     """
     if numba.config.CACHE_DIR:
         yield
         return
-    folder = _user_folder() / f"{name}-{_digest(sources)}"
+    folder = _user_folder() / f"{name}-{_digest(*sources)}"
     if not folder.is_dir():
         message = "compiling the CPU kernels of '%s' on first use, kept in %s"
         logging.getLogger("sculpt").info(message, name, folder)
@@ -82,8 +82,8 @@ def _user_folder() -> Path:
     return candidate
 
 
-def _digest(sources: Path) -> str:
-    files = sorted(sources.glob("*.py")) if sources.is_dir() else [sources]
+def _digest(*sources: Path) -> str:
+    files = [file for each in sources for file in (sorted(each.glob("*.py")) if each.is_dir() else [each])]
     return hashlib.sha256(b"\0".join(file.read_bytes() for file in files)).hexdigest()[:12]
 
 

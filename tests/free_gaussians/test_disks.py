@@ -10,11 +10,11 @@ from torch.autograd import gradcheck
 
 import sculpt_framework as sculpt
 from sculpt_framework.free_gaussians.config import FreeGaussiansConfig
+from sculpt_framework.free_gaussians.row_kernels import ALPHA_MAX, ALPHA_MIN, FAR, NEAR
 from sculpt_framework.free_gaussians.surface_terms import normal_difference
 from sculpt_framework.stress.small import small_scene
 from sculpt_framework.types import Camera, Gaussians, Rendering
 from sculpt_plugins.methods.splatting_2d.disks import draw_disks
-from sculpt_plugins.methods.splatting_2d.kernels import ALPHA_MAX, ALPHA_MIN, FAR, NEAR
 from tests.learning import beginning_of
 
 CAMERA = Camera(

@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 from torch.autograd import gradcheck
 
+from sculpt_framework.free_gaussians.row_kernels import ALPHA_MAX, ALPHA_MIN, FAR, NEAR
 from sculpt_framework.types import Camera, Gaussians
-from sculpt_plugins.methods.gof.kernels import ALPHA_MAX, ALPHA_MIN, FAR, NEAR
 from sculpt_plugins.methods.gof.rays import draw_rays
 from tests.free_gaussians.shapes import CAMERA, ball
 

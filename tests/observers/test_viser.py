@@ -27,6 +27,7 @@ from sculpt_framework.viewing.frames import read_frame, step_files
 from sculpt_plugins.observers.recorder.config import RecorderConfig
 from sculpt_plugins.observers.viser.config import ViserConfig
 from sculpt_plugins.observers.viser.observer import ViserObserver
+from tests.viewer.training import free_port
 
 
 def event(name: str, outer: int = 7, t_train: float = 2.0, **data: object) -> Event:
@@ -59,12 +60,6 @@ def eventually(condition: Callable[[], bool], seconds: float = 60.0) -> None:
     while not condition():
         assert time.monotonic() < deadline
         time.sleep(0.02)
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
 
 
 @pytest.fixture

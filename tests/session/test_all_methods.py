@@ -1,7 +1,6 @@
 """Every method as a user runs it: watched in a page, killed, resumed, reported, and in a batch."""
 
 import json
-import socket
 import subprocess
 import sys
 import urllib.request
@@ -13,7 +12,7 @@ import trimesh
 from sculpt_framework import registry
 from sculpt_framework.demo_scenes.folder import DemoSettings, write_scene
 from sculpt_framework.demo_scenes.objects import demo_object
-from tests.viewer.training import eventually
+from tests.viewer.training import STEPS, eventually, free_port
 
 GAUSSIANS = ("--gaussians", "500", "--mesh-cells", "24")
 RAYS = ("--mesh-cells", "24", "--cells", "24", "--steps-across", "48", "--rays", "128")
@@ -28,18 +27,10 @@ SMALL = {
     "gaussian-sculpting": BI_LEVEL,
 }
 """Of every method of the paper's tables, options with which a step is a matter of milliseconds."""
-STEPS = "100000"
-"""More than any test waits for."""
 
 
 def command(name: str, *words: str) -> list[str]:
     return [sys.executable, "-c", f"from sculpt_framework.cli.{name} import main; main()", *words]
-
-
-def free_port() -> int:
-    with socket.socket() as some:
-        some.bind(("127.0.0.1", 0))
-        return some.getsockname()[1]
 
 
 def run(name: str, *words: str) -> str:
@@ -74,7 +65,7 @@ def test_it_is_watched_killed_and_resumed(name: str, scenes: Path, tmp_path: Pat
     folder, log, port = tmp_path / "run", tmp_path / "log.txt", free_port()
     saved = folder / "checkpoints" / "latest.safetensors"
     page = ("--viewer", "--observers.viser.port", str(port))
-    words = [name, "--data", str(scenes / "blob"), "--output", str(folder), "--threads", "1", "--steps", STEPS]
+    words = [name, "--data", str(scenes / "blob"), "--output", str(folder), "--threads", "1", "--steps", str(STEPS)]
     words += ["--checkpoint-seconds", "0.01", *SMALL[name], *page]
     with open(log, "wb") as told, subprocess.Popen(command("train", *words), stdout=told, stderr=told) as process:
 

@@ -2,6 +2,7 @@
 
 import json
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -18,6 +19,12 @@ def eventually(condition: Callable[[], bool], seconds: float = 180.0, found: Cal
     while not condition():
         assert time.monotonic() < deadline, found()
         time.sleep(0.1)
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
 
 
 def train_words(folder: Path, *more: str, port: int | None = None) -> list[str]:

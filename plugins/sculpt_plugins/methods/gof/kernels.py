@@ -14,14 +14,17 @@ import math
 import numpy as np
 from numba import njit, prange
 
-_OPTIONS = {"fastmath": {"nsz", "contract"}, "error_model": "numpy", "cache": True, "nogil": True}
-TILE = 16
-BANDS = 8
-"""Of tile rows, whose sums are kept apart: they do not depend on the number of threads."""
-ALPHA_MIN, ALPHA_MAX, LEFT_MIN = 1.0 / 255.0, 0.99, 1e-4
-NEAR, FAR = 0.2, 1000.0
-"""Of what depths are mapped to for the distortion: m = far / (far - near) (1 - near / z), object units."""
-_MAP = FAR / (FAR - NEAR)
+from sculpt_framework.free_gaussians.row_kernels import (
+    ALPHA_MAX,
+    BANDS,
+    LEFT_MIN,
+    MAP,
+    NEAR,
+    OPTIONS,
+    TILE,
+    exponential,
+)
+
 _FRONT = 1e-2
 """Object units in front of the camera: peaks that are nearer are not seen."""
 _LIGHT, _GONE, _LAST, _DISTORTED, _W0, _W1, _W2, _DEPTHS, _NORMALS, _COLORS = *range(9), 11
@@ -33,7 +36,7 @@ _TO_DEPTH, _TO_AWAY, _TO_M, _TO_WHITE, _TO_CENTER, _TO_OPACITY, _TO_COLORS = 12,
 and from ``_TO_WHITE`` on what is added up for the Gaussian."""
 
 
-@njit(inline="always", **_OPTIONS)
+@njit(inline="always", **OPTIONS)
 def _cofactors(m, out):
     """``out`` (a x b) is M a x M b."""
     for i in range(3):
@@ -43,7 +46,7 @@ def _cofactors(m, out):
         out[i, 2] = m[j, 0] * m[k, 1] - m[j, 1] * m[k, 0]
 
 
-@njit(inline="always", **_OPTIONS)
+@njit(inline="always", **OPTIONS)
 def _row_of(m, cofactors, c, center, y, line, form):
     """Along the row of pixels with this y: w = ``line[0]`` + x ``line[1]`` and M^T w = ``line[2]`` + x ``line[3]``; and
     the coefficients of powers of x in |cof(M) (mu x d)|^2, ``form[0]``, in |w|^2, ``form[1]``, and in w . M mu,
@@ -68,7 +71,7 @@ def _row_of(m, cofactors, c, center, y, line, form):
         line[3, i] = m[0, i] * line[1, 0] + m[1, i] * line[1, 1] + m[2, i] * line[1, 2]
 
 
-@njit(inline="always", **_OPTIONS)
+@njit(inline="always", **OPTIONS)
 def _misses(form, limit, fx, cx, first, last):
     """Whether none of the row's pixels from column ``first`` to ``last`` (exclusive) is within the limit."""
     a = form[0, 2] - limit * form[1, 2]
@@ -86,18 +89,7 @@ def _misses(form, limit, fx, cx, first, last):
     return not (low <= last + 0.01 and high >= first - 0.01)
 
 
-@njit(inline="always", **_OPTIONS)
-def _exp(y):
-    """e^y for -6 <= y <= 0, relative error 1e-8: the sixteenth power of a short series."""
-    y = y / 16
-    p = 1 + y * (1 + y * (1 / 2 + y * (1 / 6 + y * (1 / 24 + y * (1 / 120 + y * (1 / 720 + y * (1 / 5040)))))))
-    p = p * p
-    p = p * p
-    p = p * p
-    return p * p
-
-
-@njit(inline="always", **_OPTIONS)
+@njit(inline="always", **OPTIONS)
 def _meet(form, line, limit, opacity, side, fx, cx, lanes):
     """Where the rays of a row peak. The normal is that of the plane of equal density there, towards the camera: -M^T w,
     made unit."""
@@ -114,7 +106,7 @@ def _meet(form, line, limit, opacity, side, fx, cx, lanes):
         n0, n1, n2 = s0 + x * t0, s1 + x * t1, s2 + x * t2
         shorter = 1 / math.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
         counts = (square > 0) & (away <= limit) & (depth > _FRONT)
-        value = _exp(max(-0.5 * away, -6.0))
+        value = exponential(max(-0.5 * away, -6.0))
         lanes[_ALPHA, lane] = min(opacity * value, ALPHA_MAX) if counts else 0.0
         lanes[_VALUE, lane] = value if counts else 0.0
         lanes[_X, lane] = x
@@ -126,13 +118,13 @@ def _meet(form, line, limit, opacity, side, fx, cx, lanes):
         lanes[_NORMAL + 2, lane] = -n2 * shorter if counts else 0.0
 
 
-@njit(inline="always", **_OPTIONS)
+@njit(inline="always", **OPTIONS)
 def _times(m, vector, out):
     for i in range(3):
         out[i] = m[i, 0] * vector[0] + m[i, 1] * vector[1] + m[i, 2] * vector[2]
 
 
-@njit(parallel=True, **_OPTIONS)
+@njit(parallel=True, **OPTIONS)
 def composite(whites, centers, opacities, limits, colors, lens, lists, starts, columns, out, moments, left, last):
     """Fill ``out`` [h, w, c + 4] with what colours, normals in camera coordinates and depth add up to, ``moments``
     [h, w, 3] with the sums of weight times 1, m and m^2, ``left`` [h, w] with the light that is left, and ``last`` with
@@ -169,7 +161,7 @@ def composite(whites, centers, opacities, limits, colors, lens, lists, starts, c
                     alpha = lanes[_ALPHA, lane] if light >= LEFT_MIN else 0.0
                     weight = light * alpha
                     after = light - weight
-                    mapped = _MAP * (1 - NEAR / depth)
+                    mapped = MAP * (1 - NEAR / depth)
                     lanes[_WEIGHT, lane] = weight
                     planes[_W0, row, lane] += weight
                     planes[_W1, row, lane] += weight * mapped
@@ -198,7 +190,7 @@ def composite(whites, centers, opacities, limits, colors, lens, lists, starts, c
                 last[top + row, side + lane] = int(planes[_LAST, row, lane])
 
 
-@njit(parallel=True, **_OPTIONS)
+@njit(parallel=True, **OPTIONS)
 def differentiate(
     whites, centers, opacities, limits, colors, lens, lists, starts, columns, moments, left, last, to_out, to_left,
     to_distortion, to_whites, to_centers, to_opacities, to_colors,
@@ -278,7 +270,7 @@ def differentiate(
                         to_colors[band, g, c] += lanes[_TO_COLORS + c, lane]
 
 
-@njit(inline="always", **_OPTIONS)
+@njit(inline="always", **OPTIONS)
 def _slopes_of_row(opacity, row, lanes, planes):
     """Slopes by the squared distance, by the depth (over |w|^2) and by -M^T w; those by the opacity are added up."""
     for lane in range(TILE):
@@ -296,10 +288,10 @@ def _slopes_of_row(opacity, row, lanes, planes):
         to_alpha = to_alpha if (alpha > 0) & (opacity * value < ALPHA_MAX) else 0.0
         lanes[_TO_OPACITY, lane] += to_alpha * value
         lanes[_TO_AWAY, lane] = -0.5 * to_alpha * opacity * value
-        mapped = _MAP * (1 - NEAR / depth)
+        mapped = MAP * (1 - NEAR / depth)
         pulled = mapped * planes[_W0, row, lane] - planes[_W1, row, lane]
         to_depth = weight * planes[_DEPTHS, row, lane]
-        to_depth += planes[_DISTORTED, row, lane] * 2 * weight * pulled * _MAP * NEAR / (depth * depth)
+        to_depth += planes[_DISTORTED, row, lane] * 2 * weight * pulled * MAP * NEAR / (depth * depth)
         lanes[_TO_DEPTH, lane] = to_depth * lanes[_SQUARE, lane]
         shorter = weight * lanes[_LENGTH, lane]
         n0, n1, n2 = lanes[_NORMAL, lane], lanes[_NORMAL + 1, lane], lanes[_NORMAL + 2, lane]
@@ -308,7 +300,7 @@ def _slopes_of_row(opacity, row, lanes, planes):
         lanes[_TO_M + 2, lane] = (facing * n2 - planes[_NORMALS + 2, row, lane]) * shorter
 
 
-@njit(inline="always", **_OPTIONS)
+@njit(inline="always", **OPTIONS)
 def _slopes_of_axis(i, m, place, center, line, y, lanes):
     """Add a row's slopes by row ``i`` of M, and what comes through it by the centre, lane by lane."""
     m0, m1, m2, middle = 1.0 * m[i, 0], 1.0 * m[i, 1], 1.0 * m[i, 2], center[i]
@@ -331,7 +323,7 @@ def _slopes_of_axis(i, m, place, center, line, y, lanes):
         lanes[_TO_CENTER + 2, lane] += m2 * (by_off + by_center)
 
 
-@njit(parallel=True, **_OPTIONS)
+@njit(parallel=True, **OPTIONS)
 def lower(points, enough, forms, opacities, limits, lens, size, lists, starts, columns, least, seen):
     """Lower ``least`` [n], the smallest opacity accumulated to each point in any view, to that in this one, and note in
     ``seen`` which points are in its image (paper, eq. 8 to 10); ``points`` in camera coordinates.

@@ -11,11 +11,12 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from sculpt_framework.cpu_kernels import array_of, kernel_cache, share_threads
+from sculpt_framework.free_gaussians import row_kernels
 from sculpt_framework.free_gaussians.tiles import TileLists, list_tiles
 from sculpt_framework.rendering.spherical_harmonics import sh_to_rgb
 from sculpt_framework.types import Camera, Gaussians, Rendering
 
-with kernel_cache("rays", Path(__file__).with_name("kernels.py")):
+with kernel_cache("rays", Path(__file__).with_name("kernels.py"), Path(row_kernels.__file__)):
     from sculpt_plugins.methods.gof import kernels
 
 _THINNEST = 1e-7
@@ -36,7 +37,7 @@ class Seen:
     @property
     def limits(self) -> Float[Tensor, " g"]:
         """Squared standard deviations beyond which an opacity counts as none."""
-        return 2 * (self.opacities.detach().double() / kernels.ALPHA_MIN).log()
+        return 2 * (self.opacities.detach().double() / row_kernels.ALPHA_MIN).log()
 
     @property
     def forms(self) -> Float[Tensor, "g 10"]:
@@ -49,7 +50,7 @@ class Seen:
 
     def tiles(self, camera: Camera) -> TileLists:
         frames = torch.cat([self.axes, self.centers[:, :, None]], dim=2).detach().double()
-        return list_tiles(frames, self.limits, camera, tile=kernels.TILE, margin=0.0)
+        return list_tiles(frames, self.limits, camera, tile=row_kernels.TILE, margin=0.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -126,7 +127,7 @@ class _Rays(torch.autograd.Function):
         limits, lens, tiles, last = ctx.given
         share_threads()
         inputs = (whites, centers, opacities, colors)
-        slopes = [each.new_zeros(kernels.BANDS, *each.shape) for each in inputs]
+        slopes = [each.new_zeros(row_kernels.BANDS, *each.shape) for each in inputs]
         kernels.differentiate(
             array_of(whites), array_of(centers), array_of(opacities), limits, array_of(colors), lens, tiles.lists,
             tiles.starts, tiles.columns, array_of(moments), array_of(left), last, array_of(to_out), array_of(to_left),

@@ -10,11 +10,12 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from sculpt_framework.cpu_kernels import array_of, kernel_cache, share_threads
+from sculpt_framework.free_gaussians import row_kernels
 from sculpt_framework.free_gaussians.tiles import list_tiles
 from sculpt_framework.rendering.spherical_harmonics import sh_to_rgb
 from sculpt_framework.types import Camera, Gaussians, Rendering
 
-with kernel_cache("disks", Path(__file__).with_name("kernels.py")):
+with kernel_cache("disks", Path(__file__).with_name("kernels.py"), Path(row_kernels.__file__)):
     from sculpt_plugins.methods.splatting_2d import kernels
 
 _BLUR = 3.0
@@ -61,8 +62,8 @@ class _Disks(torch.autograd.Function):
     def forward(ctx, frames: Tensor, opacities: Tensor, features: Tensor, camera: Camera):
         share_threads()
         lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
-        reach = 2 * (opacities.detach().double() / kernels.ALPHA_MIN).log()
-        tiles = list_tiles(frames.detach().double(), reach, camera, tile=kernels.TILE, margin=_BLUR)
+        reach = 2 * (opacities.detach().double() / row_kernels.ALPHA_MIN).log()
+        tiles = list_tiles(frames.detach().double(), reach, camera, tile=row_kernels.TILE, margin=_BLUR)
         lists, starts, columns = tiles.lists, tiles.starts, tiles.columns
         shape = (camera.height, camera.width)
         out = frames.new_empty(*shape, features.shape[1] + 1)
@@ -84,9 +85,9 @@ class _Disks(torch.autograd.Function):
         frames, opacities, features, moments, left = ctx.saved_tensors
         limits, lens, lists, starts, columns, last = ctx.lists
         share_threads()
-        to_frames = frames.new_zeros(kernels.BANDS, *frames.shape)
-        to_opacities = opacities.new_zeros(kernels.BANDS, *opacities.shape)
-        to_features = features.new_zeros(kernels.BANDS, *features.shape)
+        to_frames = frames.new_zeros(row_kernels.BANDS, *frames.shape)
+        to_opacities = opacities.new_zeros(row_kernels.BANDS, *opacities.shape)
+        to_features = features.new_zeros(row_kernels.BANDS, *features.shape)
         kernels.differentiate(
             array_of(frames), array_of(opacities), limits, array_of(features), lens, lists, starts, columns,
             array_of(moments), array_of(left), last, array_of(to_out), array_of(to_left), array_of(to_distortion),

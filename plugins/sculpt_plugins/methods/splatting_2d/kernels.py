@@ -11,14 +11,17 @@ import math
 import numpy as np
 from numba import njit, prange
 
-_OPTIONS = {"fastmath": {"nsz", "contract"}, "error_model": "numpy", "cache": True, "nogil": True}
-TILE = 16
-BANDS = 8
-"""Of tile rows, whose sums are kept apart: they do not depend on the number of threads."""
-ALPHA_MIN, ALPHA_MAX, LEFT_MIN = 1.0 / 255.0, 0.99, 1e-4
-NEAR, FAR = 0.2, 1000.0
-"""Of what depths are mapped to for the distortion: m = far / (far - near) (1 - near / z), object units."""
-_MAP = FAR / (FAR - NEAR)
+from sculpt_framework.free_gaussians.row_kernels import (
+    ALPHA_MAX,
+    BANDS,
+    LEFT_MIN,
+    MAP,
+    NEAR,
+    OPTIONS,
+    TILE,
+    exponential,
+)
+
 _SHARPEST = 0.5
 """Variance, square pixels, of what a disk is at least in the image (paper, eq. 11)."""
 _FLAT = 1e-9
@@ -30,7 +33,7 @@ _ALPHA, _VALUE, _X, _DEPTH, _U, _V, _INVERSE, _WEIGHT, _Q, _TO_FRAME, _TO_OPACIT
 """Rows of lanes: of where a ray meets a disk, weights, and what is added up for the disk."""
 
 
-@njit(inline="always", **_OPTIONS)
+@njit(inline="always", **OPTIONS)
 def _row_of(h, y, start, slope):
     """k = ``start`` + x ``slope`` [3] along the row of pixels with this y."""
     b0, b1, b2 = y * h[2, 0] - h[1, 0], y * h[2, 1] - h[1, 1], y * h[2, 2] - h[1, 2]
@@ -42,7 +45,7 @@ def _row_of(h, y, start, slope):
     slope[2] = h[2, 0] * b1 - h[2, 1] * b0
 
 
-@njit(inline="always", **_OPTIONS)
+@njit(inline="always", **OPTIONS)
 def _misses(start, slope, limit, across, down, fx, cx, first, last):
     """Whether none of the row's pixels from column ``first`` to ``last`` (exclusive) is within the limit.
 
@@ -68,18 +71,7 @@ def _misses(start, slope, limit, across, down, fx, cx, first, last):
     return not (low <= high and low <= last + 0.01 and high >= first - 0.01)
 
 
-@njit(inline="always", **_OPTIONS)
-def _exp(y):
-    """e^y for -6 <= y <= 0, relative error 1e-8: the sixteenth power of a short series."""
-    y = y / 16
-    p = 1 + y * (1 + y * (1 / 2 + y * (1 / 6 + y * (1 / 24 + y * (1 / 120 + y * (1 / 720 + y * (1 / 5040)))))))
-    p = p * p
-    p = p * p
-    p = p * p
-    return p * p
-
-
-@njit(inline="always", **_OPTIONS)
+@njit(inline="always", **OPTIONS)
 def _meet(h, start, slope, limit, opacity, side, across, down, fx, cx, lanes):
     """Where the rays of a row meet the disk: coordinates and depth. A ray that does not, or for which the blur around
     the disk's centre is nearer, has that in place: then ``_INVERSE``, one over k's third component, is 0."""
@@ -96,7 +88,7 @@ def _meet(h, start, slope, limit, opacity, side, across, down, fx, cx, lanes):
         blurred = (right * right + down * down) / _SHARPEST
         met = (abs(m2) > _FLAT * (abs(m0) + abs(m1))) & (away <= blurred) & (depth > 0)
         away = away if met else blurred
-        value = _exp(max(-0.5 * away, -6.0))
+        value = exponential(max(-0.5 * away, -6.0))
         lanes[_ALPHA, lane] = min(opacity * value, ALPHA_MAX) if away <= limit else 0.0
         lanes[_VALUE, lane] = value
         lanes[_X, lane] = x
@@ -106,7 +98,7 @@ def _meet(h, start, slope, limit, opacity, side, across, down, fx, cx, lanes):
         lanes[_INVERSE, lane] = inverse if met else 0.0
 
 
-@njit(parallel=True, **_OPTIONS)
+@njit(parallel=True, **OPTIONS)
 def composite(frames, opacities, limits, features, lens, lists, starts, columns, out, moments, left, last, median):
     """Fill ``out`` [h, w, c + 1] with what features and depth add up to, ``moments`` [h, w, 3] with the sums of weight
     times 1, m and m^2, ``left`` [h, w] with the light that is left, ``last`` with how much of the list counts, and
@@ -143,7 +135,7 @@ def composite(frames, opacities, limits, features, lens, lists, starts, columns,
                     alpha = lanes[_ALPHA, lane] if light >= LEFT_MIN else 0.0
                     weight = light * alpha
                     after = light - weight
-                    m = _MAP * (1 - NEAR / depth)
+                    m = MAP * (1 - NEAR / depth)
                     lanes[_WEIGHT, lane] = weight
                     planes[_W0, row, lane] += weight
                     planes[_W1, row, lane] += weight * m
@@ -171,7 +163,7 @@ def composite(frames, opacities, limits, features, lens, lists, starts, columns,
                 median[top + row, side + lane] = planes[_MEDIAN, row, lane]
 
 
-@njit(parallel=True, **_OPTIONS)
+@njit(parallel=True, **OPTIONS)
 def differentiate(
     frames, opacities, limits, features, lens, lists, starts, columns, moments, left, last, to_out, to_left,
     to_distortion, to_frames, to_opacities, to_features,
@@ -220,7 +212,7 @@ def differentiate(
                         depth = lanes[_DEPTH, lane]
                         alpha = lanes[_ALPHA, lane] if place < planes[_LAST, row, lane] else 0.0
                         light = planes[_LIGHT, row, lane] / (1 - alpha)
-                        m = _MAP * (1 - NEAR / depth)
+                        m = MAP * (1 - NEAR / depth)
                         spread = m * m * planes[_W0, row, lane] - 2 * m * planes[_W1, row, lane]
                         spread += planes[_W2, row, lane]
                         lanes[_ALPHA, lane] = alpha
@@ -243,7 +235,7 @@ def differentiate(
                         to_features[band, g, c] += lanes[_TO_FEATURES + c, lane]
 
 
-@njit(inline="always", **_OPTIONS)
+@njit(inline="always", **OPTIONS)
 def _slopes_of_row(h, opacity, row, side, y, across, down, fx, fy, lanes, planes):
     """Add a row's slopes by the disk's frame and opacity, lane by lane."""
     h00, h01, h02 = h[0, 0], h[0, 1], h[0, 2]
@@ -252,22 +244,17 @@ def _slopes_of_row(h, opacity, row, side, y, across, down, fx, fy, lanes, planes
     b0, b1, b2 = y * h20 - h10, y * h21 - h11, y * h22 - h12
     for lane in range(TILE):
         alpha, value, weight, q = lanes[_ALPHA, lane], lanes[_VALUE, lane], lanes[_WEIGHT, lane], lanes[_Q, lane]
-        x, u, v, depth, inverse = (
-            lanes[_X, lane],
-            lanes[_U, lane],
-            lanes[_V, lane],
-            lanes[_DEPTH, lane],
-            lanes[_INVERSE, lane],
-        )
+        u, v, inverse = lanes[_U, lane], lanes[_V, lane], lanes[_INVERSE, lane]
+        x, depth = lanes[_X, lane], lanes[_DEPTH, lane]
         gone = planes[_GONE, row, lane]
         to_alpha = planes[_LIGHT, row, lane] * q - gone / (1 - alpha)
         planes[_GONE, row, lane] = gone + weight * q
         # Those that do not count, and those that are as opaque as can be, have no slope.
         to_alpha = to_alpha if (alpha > 0) & (opacity * value < ALPHA_MAX) else 0.0
-        m = _MAP * (1 - NEAR / depth)
+        m = MAP * (1 - NEAR / depth)
         pulled = m * planes[_W0, row, lane] - planes[_W1, row, lane]
         to_depth = weight * planes[_SUMS, row, lane]
-        to_depth += planes[_DISTORTED, row, lane] * 2 * weight * pulled * _MAP * NEAR / (depth * depth)
+        to_depth += planes[_DISTORTED, row, lane] * 2 * weight * pulled * MAP * NEAR / (depth * depth)
         to_exponent = to_alpha * opacity * value
         met = inverse != 0
         # Of the blur: by where the disk's centre is in the image.

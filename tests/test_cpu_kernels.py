@@ -32,6 +32,15 @@ def test_every_state_of_the_source_has_its_folder(source: Path):
     assert numba.config.CACHE_DIR == ""
 
 
+def test_what_kernels_share_counts_as_well(source: Path):
+    shared, folders = source.with_name("shared.py"), []
+    for text in ("y = 1\n", "y = 2\n"):
+        shared.write_text(text)
+        with kernel_cache("tests", source, shared):
+            folders.append(numba.config.CACHE_DIR)
+    assert len({*folders, _folder(source)}) == 3
+
+
 def test_a_folder_the_user_chose_is_kept(source: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(numba.config, "CACHE_DIR", "/chosen")
     assert _folder(source) == "/chosen"

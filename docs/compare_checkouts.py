@@ -7,10 +7,16 @@ paper's, for a few steps; one that is interrupted and resumed; one that is told 
 viewer; one that is repaired in a box. Compared are meshes, Gaussians, the curves but for what a clock or the memory
 says, and every tensor of the last checkpoint. What the options of an older checkout are called is said by
 ``--steps-option``. Exits with 1 where anything differs.
+
+    python docs/compare_checkouts.py CHECKOUT OTHER --times 5
+
+compares the time of a step instead, of the default method on the first scene: processes of both in turn, so many each,
+on one thread; of every step the least CPU seconds, added up. Both checkouts need ``sculpt_framework.Session``.
 """
 
 import argparse
 import csv
+import json
 import os
 import signal
 import subprocess
@@ -24,6 +30,20 @@ from safetensors.numpy import load_file
 
 CLOCK_AND_MEMORY = ("t_train_s", "t_wall_s", "t_cpu_s", "rss_mb")
 SHORT_PAPER = ("--trainer.base-cells", "24", "--trainer.stages.1.inner-steps", "20", "--trainer.fit-steps", "60")
+STEPS = 26
+TIMED = 24
+"""Of these, the last: the first two make the start and load what is compiled."""
+STEPPING = """
+import json, sys, time
+import sculpt_framework as sculpt
+session, spent = sculpt.Session(sculpt.load(sys.argv[1]), sculpt.methods["gaussian-sculpting"]()), []
+steps = iter(session)
+for _ in range(int(sys.argv[2])):
+    began = time.process_time()
+    next(steps)
+    spent.append(time.process_time() - began)
+print(json.dumps(spent))
+"""
 COMMANDS = (
     '{"v": 1, "t_train": 0.1, "t_wall": 1.0, "outer": 2, "event": "action", "data": {"message": "", '
     '"command": {"do": "set-weight", "slot": "losses", "name": "eikonal", "weight": 0.3}}}',
@@ -35,11 +55,17 @@ COMMANDS = (
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("checkouts", nargs=2, type=Path, metavar="CHECKOUT")
-    parser.add_argument("--out", type=Path, required=True, help="new folder for the runs of both")
+    parser.add_argument("--out", type=Path, help="new folder for the runs of both")
+    parser.add_argument("--times", type=int, help="compare the time of a step, by so many runs of each")
     parser.add_argument("--data", nargs="+", default=["demo", "demo:dents"], help="scenes")
     parser.add_argument("--only", nargs="+", help="names of the runs to compare")
     parser.add_argument("--steps-option", nargs=2, default=["steps", "steps"], help="of either, without dashes")
     options = parser.parse_args()
+    if options.times is not None:
+        compare_times(options.checkouts, options.data[0], options.times)
+        return 0
+    if options.out is None:
+        parser.error("--out is missing: a new folder for the runs of both")
     different = 0
     for data in options.data:
         for name, words in runs(options.out):
@@ -57,6 +83,19 @@ def main() -> int:
     return 1 if different else 0
 
 
+def compare_times(checkouts: Sequence[Path], data: str, times: int) -> None:
+    found: list[list[list[float]]] = [[], []]
+    single = {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
+    for _ in range(times):
+        for checkout, spent in zip(checkouts, found, strict=True):
+            words = [sys.executable, "-c", STEPPING, data, str(STEPS)]
+            environment = {**environment_of(checkout), **single}
+            done = subprocess.run(words, env=environment, capture_output=True, text=True, check=True)
+            spent.append(json.loads(done.stdout.splitlines()[-1])[-TIMED:])
+    first, other = (sum(min(each) for each in zip(*spent, strict=True)) for spent in found)
+    sys.stdout.write(f"{TIMED} steps: {first:.2f} and {other:.2f} s of CPU, ratio {other / first:.3f}\n")
+
+
 def runs(out: Path) -> Iterator[tuple[str, Sequence[str]]]:
     """Names, and the words of the command line beside data and output."""
     told = out / "told.jsonl"
@@ -70,14 +109,18 @@ def runs(out: Path) -> Iterator[tuple[str, Sequence[str]]]:
     yield "repaired", ("gaussian-sculpting-tiny",)
 
 
-def train(checkout: Path, name: str, words: Sequence[str], data: str, folder: Path) -> None:
+def environment_of(checkout: Path) -> dict[str, str]:
     places = (checkout, checkout / "plugins", checkout / "method_configs")
-    environment = {
+    return {
         **os.environ,
         "PYTHONPATH": os.pathsep.join(str(place.resolve()) for place in places),
         # Else the folder this is started in comes first, and it may be a checkout.
         "PYTHONSAFEPATH": "1",
     }
+
+
+def train(checkout: Path, name: str, words: Sequence[str], data: str, folder: Path) -> None:
+    environment = environment_of(checkout)
     program = [sys.executable, "-m", "sculpt_framework.cli.train"]
     begin = [*program, *words, "--data", data, "--output", str(folder)]
     folder.parent.mkdir(parents=True, exist_ok=True)

@@ -48,6 +48,7 @@ BUILTIN: dict[str, dict[str, str]] = {
         "stereo": "sculpt_plugins.initializers.stereo.config:StereoConfig",
         "sphere": "sculpt_plugins.initializers.sphere.config:SphereConfig",
         "visual-hull": "sculpt_plugins.initializers.visual_hull.config:VisualHullConfig",
+        "volume-rendering": "sculpt_plugins.initializers.volume_rendering.config:VolumeRenderingConfig",
     },
     "dataset": {
         "auto": "sculpt_plugins.datasets.auto.config:AutoDatasetConfig",

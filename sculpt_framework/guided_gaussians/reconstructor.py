@@ -24,14 +24,9 @@ from sculpt_framework.parameters import check_slopes, state_below
 from sculpt_framework.posed_images.training_images import prepare_images
 from sculpt_framework.reconstructor import Host, Moment, Reconstructor, StepReport
 from sculpt_framework.types import Camera, Gaussians, Rendering, Scene
+from sculpt_framework.volume_rendering.learner import LOOK_EVERY
 from sculpt_framework.volume_rendering.pixels import rays_at
-from sculpt_framework.volume_rendering.reconstructor import (
-    LEVEL,
-    LOOK_EVERY,
-    built_by_seed,
-    occupancy_of,
-    require_masks,
-)
+from sculpt_framework.volume_rendering.reconstructor import LEVEL, built_by_seed, occupancy_of, require_masks
 
 _OWN = ("taken", "order", "random", "faces", "joint", "opacity")
 

@@ -11,7 +11,7 @@ from sculpt_framework.registry import name_of
 from sculpt_framework.sculpting.config import SculptingConfig
 
 PHOTOMETRIC, CONSISTENCY, BENDING = "photometric", "consistency", "bending"
-CARVED, STEREO, HULL = "photo-hull", "stereo", "visual-hull"
+CARVED, STEREO, HULL, VOLUME = "photo-hull", "stereo", "visual-hull", "volume-rendering"
 SPEAKING_LEAST = 0.02
 """Share of the object that stereo must be able to tell apart: below, depths are found in specks only."""
 UNEVEN_COLORS = 0.017
@@ -19,6 +19,8 @@ UNEVEN_COLORS = 0.017
 what belongs together, only how they vary around a place."""
 CUT = 0.5
 """Share of the masks, cut by the borders of their images, from which on carving has too little to go by."""
+FAR_APART = 26.0
+"""Degrees between a view and the one nearest to it from which on too little of what both show looks alike."""
 UNEVEN_LIGHT = 0.03
 """The same share from which on the surface does not learn from colours either: they would move it away from where views
 agree."""
@@ -44,6 +46,14 @@ def stereo(config: SculptingConfig, evidence: Evidence) -> Ruling:
             measured=measured,
             saves=f"{spared['depth maps']:.0f} depth maps and their fusion",
             spared=spared,
+        )
+    measured |= {"apart": evidence.apart}
+    if evidence.apart > FAR_APART and evidence.masked > 0:
+        return Ruling(
+            config=replace(config, initializer=_start(VOLUME, config)),
+            value="start from volume rendering, not from comparing neighbouring views",
+            evidence=f"{why}; the view nearest to a view is {evidence.apart:.0f} degrees away",
+            measured=measured,
         )
     if evidence.gloss is None:
         return Ruling(config=config, value="as the method starts", evidence=why, measured=measured)

@@ -1,6 +1,7 @@
 """What the plan knows of a scene: numbers measured in seconds on its loaded views."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +16,7 @@ from sculpt_framework.plan.pictures import (
     speaking,
     thinnest,
 )
-from sculpt_framework.types import Scene, View
+from sculpt_framework.types import Box, Scene, View
 
 _LOOKED_AT = 24
 """Views whose pixels are looked at closely, spread evenly."""
@@ -49,6 +50,8 @@ class Evidence:
     """Root mean square of brightness finer than 2, 4, 8 and 16 pixels; of the views with most texture."""
     speaking: float
     """Share of the object's pixels where neighbouring views can be compared; of the views where it is largest."""
+    apart: float = 0.0
+    """Degrees, as seen from the middle of the box, between a view and the one nearest to it; median over the views."""
     thinnest: int | None = None
     """Pixels that the thinnest part is wide at most; None if nothing thin was found."""
     gloss: Gloss | None = None
@@ -83,10 +86,22 @@ def gather(scene: Scene) -> Evidence:
         # Not the median: a side that few views see must not be taken for as plain as the others.
         contrast=tuple(float(value) for value in np.quantile([contrast(view) for view in close], _SIDE, axis=0)),
         speaking=float(np.quantile([speaking(view) for view in close], _SIDE)),
+        apart=_apart(seeing, box),
         # One image may be wrong; a part that is thin in two is thin.
         thinnest=thin[1] if len(thin) > 1 else None,
         gloss=gloss(seeing, box),
     )
+
+
+def _apart(views: Sequence[View], box: Box) -> float:
+    """180 where there is but one."""
+    if len(views) < 2:
+        return 180.0
+    places = np.stack([(view.camera.position.double() - box.center.double()).numpy() for view in views])
+    ways = places / np.maximum(np.linalg.norm(places, axis=1, keepdims=True), 1e-9)
+    cosines = ways @ ways.T
+    np.fill_diagonal(cosines, -1.0)
+    return float(np.median(np.degrees(np.arccos(np.clip(cosines.max(axis=1), -1.0, 1.0)))))
 
 
 def _pixel(view: View, scene: Scene) -> float:

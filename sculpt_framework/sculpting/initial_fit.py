@@ -5,7 +5,6 @@ from collections.abc import Callable, Sequence
 import torch
 
 from sculpt_framework import registry
-from sculpt_framework.adam import Adam
 from sculpt_framework.config import ExtractorConfig
 from sculpt_framework.evaluation.mesh import Mesh
 from sculpt_framework.extractors import Extractor
@@ -16,19 +15,14 @@ from sculpt_framework.geometry.signed_distance import SdfFunction
 from sculpt_framework.initializers import Initializer
 from sculpt_framework.posed_images.training_images import in_object_frame
 from sculpt_framework.sculpting.config import SculptingConfig
-from sculpt_framework.shape_from_images.volume import Volume, sample
+from sculpt_framework.shape_from_images.field_fit import fit_field
+from sculpt_framework.shape_from_images.volume import sample
 from sculpt_framework.types import Box, Surface, View
 
 _CELLS_AT_LEAST, _CELLS_AT_MOST = 64, 128
 """Along the longest side of the box, in which a start is tabulated; in between, as many as the finest stage has."""
-_SAMPLES, _NEAR_SHARE, _NEAR_CELLS = 20_000, 0.8, 1.5
-"""Places in a batch, and which share of them lies within how many cells of the surface."""
-_LAST_RATE = 0.1
-"""Of the rate that the fit begins with."""
 _BLOCK = 2
 """Cells along a side of the blocks that are looked at first: a start may be half as steep again as a distance."""
-_TRUNCATION = 0.2
-"""Distances beyond this, in object units, matter by their sign only."""
 _STEEPEST = 2.0
 """A start is only roughly a distance: its cells are searched as if it could be this steep."""
 
@@ -82,34 +76,3 @@ def start_mesh(target: SdfFunction, box: Box, cells: int) -> Mesh:
     assert isinstance(config, ExtractorConfig)  # noqa: S101
     surface = start_surface(target, config.build(grid, device), device)
     return Mesh(vertices=box.to_world(surface.vertices).double().numpy(), faces=surface.faces.numpy())
-
-
-def fit_field(field: Field, volume: Volume, *, steps: int, generator: torch.Generator, device: torch.device) -> float:
-    """Regress the field to a signed distance by Adam; returns the mean absolute error near its zero, in object units.
-
-    Most of each batch lies within a cell or two of the surface: what is farther is only held on its side of zero and
-    roughly in its place.
-    """
-    values, target = torch.from_numpy(volume.values).to(device).reshape(-1), volume.interpolator(device)
-    points = torch.from_numpy(volume.points).to(device)
-    near = (values.abs() < _NEAR_CELLS * volume.cell).nonzero()[:, 0]
-    if len(near) == 0:
-        near = values.abs().topk(min(1000, len(values)), largest=False).indices
-    optimizer = Adam(field.fit_groups(), betas=(0.9, 0.99))
-    close = round(_NEAR_SHARE * _SAMPLES)
-    error = float("nan")
-    for step in range(steps):
-        chosen = near[torch.randint(len(near), (close,), generator=generator).to(device)]
-        anywhere = torch.randint(len(points), (_SAMPLES - close,), generator=generator).to(device)
-        jitter = (torch.rand(_SAMPLES, 3, generator=generator) - 0.5).to(points) * volume.cell
-        where = points[torch.cat([chosen, anywhere])] + jitter
-        wanted = target(where).clamp(-_TRUNCATION, _TRUNCATION)
-        sdf = field(where)
-        # Where the target is cut, the field may say anything beyond the cut of the right sign.
-        cut = wanted.abs() >= 0.999 * _TRUNCATION
-        residual = torch.where(cut, (_TRUNCATION - sdf * wanted.sign()).clamp(min=0), (sdf - wanted).abs())
-        error = float(residual[:close].detach().mean())
-        optimizer.zero_grad()
-        residual.mean().backward()
-        optimizer.step(_LAST_RATE ** (step / max(1, steps - 1)))
-    return error

@@ -36,6 +36,21 @@ class RadianceConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Passing:
+    """How rays pass a volume while it learns: as ``VolumeConfig`` has it."""
+
+    rays: int
+    steps_across: int
+    cells: int
+    mask_weight: float
+
+    @property
+    def step(self) -> float:
+        """Length of a step, in object units."""
+        return 2.0 / self.steps_across
+
+
+@dataclass(frozen=True, kw_only=True)
 class VolumeConfig(MethodConfig, ABC):
     """Rays through pixels chosen at random, looked at in equal steps through the cells that may hold something."""
 
@@ -53,6 +68,10 @@ class VolumeConfig(MethodConfig, ABC):
     """Learning rates end at this share of themselves."""
     radiance: RadianceConfig = RadianceConfig()
     extractor: ExtractorConfig
+
+    @property
+    def passing(self) -> Passing:
+        return Passing(rays=self.rays, steps_across=self.steps_across, cells=self.cells, mask_weight=self.mask_weight)
 
     @abstractmethod
     def build_volume(self) -> "Volume":

@@ -10,9 +10,7 @@ from jaxtyping import Float
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save
 from torch import Tensor
-from torch.nn import functional
 
-from sculpt_framework.adam import Adam
 from sculpt_framework.device import pick_device
 from sculpt_framework.errors import CheckpointError, DataError
 from sculpt_framework.evaluation.extracted import world_mesh
@@ -20,11 +18,11 @@ from sculpt_framework.evaluation.mesh import Mesh
 from sculpt_framework.export.atomic import write_atomically
 from sculpt_framework.export.mesh_files import vertex_normals
 from sculpt_framework.geometry.grid import grid_over_box
-from sculpt_framework.parameters import state_below
 from sculpt_framework.posed_images.training_images import prepare_images
 from sculpt_framework.reconstructor import Host, Moment, Reconstructor, StepReport
 from sculpt_framework.types import Box, Camera, Rendering, Scene, View
 from sculpt_framework.volume_rendering.config import VolumeConfig
+from sculpt_framework.volume_rendering.learner import VolumeLearner
 from sculpt_framework.volume_rendering.occupancy import Occupancy
 from sculpt_framework.volume_rendering.pixels import Pixels, rays_of
 from sculpt_framework.volume_rendering.stretches import stretches_of
@@ -33,8 +31,6 @@ from sculpt_framework.volume_rendering.volume import Volume, look_along
 Built = TypeVar("Built")
 
 FILE_NAME = "volume.safetensors"
-LOOK_EVERY = 16
-"""Steps between looks at where something may be."""
 LEVEL = 2
 """Of the mesh's grid: cells four times as wide are looked at first."""
 _RAYS_AT_ONCE, _POINTS_AT_ONCE = 1 << 14, 1 << 18
@@ -50,12 +46,10 @@ class VolumeReconstructor(Reconstructor):
         require_masks(config.method, host.views)
         self._config, self._box, self._host = config, scene.box, host
         self._device = pick_device(config.device)
-        self._generator = torch.Generator().manual_seed(config.seed)
-        self._volume = built_by_seed(config.build_volume, config.seed).to(self._device)
-        self._optimizer = Adam(list(self._volume.parameter_groups()), betas=(0.9, 0.99))
-        self._occupancy = occupancy_of(config.cells, scene.box, self._device)
+        volume = built_by_seed(config.build_volume, config.seed).to(self._device)
+        generator = torch.Generator().manual_seed(config.seed)
+        self._learner = VolumeLearner(volume, config.passing, scene.box.half_sides, generator)
         self._grid = grid_over_box(scene.box.half_sides.float(), config.mesh_cells >> LEVEL, LEVEL)
-        self._step = 2.0 / config.steps_across
         self._pixels: Pixels | None = None
         self._mesh: Mesh | None = None
         self._faces = 0
@@ -64,45 +58,18 @@ class VolumeReconstructor(Reconstructor):
     # -- learning ------------------------------------------------------------------------------------------------
 
     def begin(self) -> None:
-        self._look(afresh=True)
+        self._learner.look(afresh=True)
 
     def step(self, moment: Moment) -> StepReport:
-        config, random = self._config, self._generator
-        pixels = self._training_pixels().draw(config.rays, random)
-        jitter = torch.rand(config.rays, generator=random).to(self._device)
-        stretches = stretches_of(pixels.rays, self._occupancy.cells, self._step, jitter)
-        seen = look_along(self._volume, pixels.rays, stretches)
-        # Over a colour at random black places in front of nothing are not as good as none.
-        background = torch.rand(3, generator=random).to(self._device)
-        made = seen.rgb + (1 - seen.alpha)[:, None] * background
-        wanted = pixels.premultiplied + (1 - pixels.alpha)[:, None] * background
-        terms = {"color": self._volume.color_loss(made, wanted)}
-        terms |= self._volume.shape_terms(pixels.rays, stretches, random)
-        if config.mask_weight > 0:
-            alpha = seen.alpha.clamp(1e-4, 1 - 1e-4)
-            terms["mask"] = config.mask_weight * functional.binary_cross_entropy(alpha, pixels.alpha)
-        loss = torch.stack(list(terms.values())).sum()
-        if not torch.isfinite(loss):
-            raise FloatingPointError(f"the loss is {float(loss.detach())}")
-        self._optimizer.zero_grad()
-        loss.backward()
-        self._optimizer.step(moment.rate * config.final_rate**moment.progress)
+        rate = moment.rate * self._config.final_rate**moment.progress
+        lesson = self._learner.learn(self._training_pixels(), rate, moment.step)
         self._mesh = None
-        if (moment.step + 1) % LOOK_EVERY == 0:
-            self._look()
-        told = {name: float(term.detach()) for name, term in terms.items()}
-        facts = {"stretches": len(stretches), **self._volume.facts()}
-        return StepReport(loss=float(loss.detach()), terms=told, faces=self._faces, facts=facts)
+        return StepReport(loss=lesson.loss, terms=lesson.terms, faces=self._faces, facts=lesson.facts)
 
     def _training_pixels(self) -> Pixels:
         if self._pixels is None:
             self._pixels = Pixels(prepare_images(self._host.views, self._box, 1.0, self._device))
         return self._pixels
-
-    def _look(self, *, afresh: bool = False) -> None:
-        self._occupancy.look(
-            lambda points, radius: self._volume.most_opaque(points, radius, self._step), self._generator, afresh=afresh
-        )
 
     # -- what can be seen of it ----------------------------------------------------------------------------------
 
@@ -110,7 +77,7 @@ class VolumeReconstructor(Reconstructor):
     def mesh(self) -> Mesh:
         if self._mesh is None:
             extractor = self._config.extractor.build(self._grid, self._device)
-            level, seeds = self._volume.surface(self._grid, self._occupancy.cells)
+            level, seeds = self._learner.volume.surface(self._grid, self._learner.occupancy.cells)
             self._mesh = world_mesh(extractor.extract(level, seeds).surface, self._box)[0]
             self._faces = len(self._mesh.faces)
         return self._mesh
@@ -123,10 +90,11 @@ class VolumeReconstructor(Reconstructor):
         points = self._box.to_object(torch.from_numpy(mesh.vertices)).float().to(self._device)
         inward = torch.from_numpy(-normals).float().to(self._device)
         both = zip(points.split(_POINTS_AT_ONCE), inward.split(_POINTS_AT_ONCE), strict=True)
-        return torch.cat([self._volume.colors(*part) for part in both]).cpu().numpy()
+        return torch.cat([self._learner.volume.colors(*part) for part in both]).cpu().numpy()
 
     def render(self, camera: Camera) -> Rendering:
-        return draw_volume(self._volume, self._occupancy, self._step, self._box, camera, self._device)
+        learner, step = self._learner, self._config.passing.step
+        return draw_volume(learner.volume, learner.occupancy, step, self._box, camera, self._device)
 
     def sizes(self) -> Mapping[str, Any]:
         return {"faces": len(self.mesh().faces), "grid": max(self._grid.shape)}
@@ -134,24 +102,14 @@ class VolumeReconstructor(Reconstructor):
     # -- state ---------------------------------------------------------------------------------------------------
 
     def state(self) -> dict[str, Tensor]:
-        volume = {f"volume/{name}": value for name, value in self._volume.state_dict().items()}
-        optimizer = {f"optimizer/{name}": value for name, value in self._optimizer.state().items()}
-        own = {
-            "opacity": self._occupancy.opacity,
-            "random": self._generator.get_state(),
-            "faces": torch.tensor(self._faces),
-        }
-        return {name: value.detach().clone().contiguous() for name, value in (volume | optimizer | own).items()}
+        return {**self._learner.state(), "faces": torch.tensor(self._faces)}
 
     def load_state(self, state: Mapping[str, Tensor]) -> None:
-        self._volume.load_state_dict(state_below(state, "volume/"))
-        self._optimizer.load_state(state_below(state, "optimizer/"))
-        self._occupancy.opacity = state["opacity"].to(self._device).clone()
-        self._generator.set_state(state["random"].clone())
+        self._learner.load_state(state)
         self._mesh, self._faces = None, int(state["faces"])
 
     def save(self, folder: Path) -> dict[str, Path]:
-        kept = {"opacity": self._occupancy.opacity, **self._volume.state_dict()}
+        kept = {"opacity": self._learner.occupancy.opacity, **self._learner.volume.state_dict()}
         path = folder / FILE_NAME
         write_atomically(path, save({name: value.cpu().contiguous() for name, value in kept.items()}))
         return {"volume": path}
@@ -190,7 +148,7 @@ def draw_saved_volume(config: VolumeConfig, folder: Path, scene: Scene) -> Calla
             f"{path} is not there, or not of this config ({type(error).__name__}). If the run has not finished, go on "
             f"with --resume {folder}"
         ) from error
-    volume, step = volume.to(device), 2.0 / config.steps_across
+    volume, step = volume.to(device), config.passing.step
     return lambda camera: draw_volume(volume, occupancy, step, scene.box, camera, device)
 
 

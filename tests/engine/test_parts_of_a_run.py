@@ -14,8 +14,8 @@ from sculpt_framework.geometry.grid import grid_over_box
 from sculpt_framework.geometry.principal_axes import principal_axes
 from sculpt_framework.posed_images.training_images import pixel_footprint, prepare_image
 from sculpt_framework.sculpting.gaussian_scene import GaussianScene
-from sculpt_framework.sculpting.initial_fit import fit_field
 from sculpt_framework.sculpting.reconstruction import object_gaussians, reconstruct
+from sculpt_framework.shape_from_images.field_fit import fit_field
 from sculpt_framework.shape_from_images.volume import sample
 from sculpt_framework.testing import sphere_sdf, union_sdf
 from sculpt_framework.types import Box, Camera, Scene, Surface, View

@@ -12,7 +12,7 @@ from torch import Tensor
 from sculpt_framework.config import InitializerConfig
 from sculpt_framework.geometry.signed_distance import SdfFunction
 from sculpt_framework.initializers import Initializer
-from sculpt_framework.sculpting.initial_fit import fit_field
+from sculpt_framework.shape_from_images.field_fit import fit_field
 from sculpt_framework.shape_from_images.volume import sample
 from sculpt_framework.testing import sphere_sdf
 from sculpt_framework.types import Scene, View

@@ -7,7 +7,7 @@ from planned_scenes import decided, method
 
 from sculpt_framework import registry
 from sculpt_framework.config import InitializerConfig, MethodConfig
-from sculpt_framework.plan.agreement import UNEVEN_COLORS, UNEVEN_LIGHT
+from sculpt_framework.plan.agreement import FAR_APART, UNEVEN_COLORS, UNEVEN_LIGHT
 from sculpt_framework.plan.directions import Gloss
 from sculpt_framework.plan.evidence import Evidence
 from sculpt_framework.plan.make import decide
@@ -53,6 +53,17 @@ def test_objects_cut_by_the_images_borders_are_not_carved() -> None:
     assert name_of(config.initializer) == "stereo"
     assert "60 % of the masks are cut by the border" in changed["stereo"].evidence
     assert name_of(decided(replace(USUAL, cut=0.4))[0].initializer) == "photo-hull"
+
+
+def test_views_far_apart_are_explained_by_volume_rendering() -> None:
+    config, changed = decided(replace(USUAL, views=8, masked=8, apart=1.01 * FAR_APART, gloss=None))
+    assert name_of(config.initializer) == "volume-rendering"
+    assert option_of(config.initializer, "max_views") == option_of(method().initializer, "max_views")
+    assert "the view nearest to a view is 26 degrees away" in changed["stereo"].evidence
+    assert changed["stereo"].measured["apart"] == 1.01 * FAR_APART
+    assert name_of(decided(replace(USUAL, apart=0.99 * FAR_APART))[0].initializer) == "photo-hull"
+    assert name_of(decided(replace(USUAL, apart=90.0, speaking=0.01))[0].initializer) == "visual-hull"
+    assert name_of(decided(replace(USUAL, apart=90.0, masked=0, gloss=None))[0].initializer) == "sphere"
 
 
 def uneven(share: float) -> Evidence:

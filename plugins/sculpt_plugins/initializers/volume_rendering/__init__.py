@@ -1,0 +1,1 @@
+"""What rays through the pixels of all views say."""

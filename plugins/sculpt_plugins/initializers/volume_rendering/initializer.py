@@ -6,8 +6,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sculpt_framework import registry
-from sculpt_framework.config import FieldConfig
 from sculpt_framework.geometry.signed_distance import SdfFunction
 from sculpt_framework.initializers import Initializer
 from sculpt_framework.posed_images.training_images import prepare_images
@@ -20,13 +18,15 @@ from sculpt_framework.volume_rendering.learner import VolumeLearner
 from sculpt_framework.volume_rendering.logistic import LogisticVolume
 from sculpt_framework.volume_rendering.pixels import Pixels
 from sculpt_framework.volume_rendering.reconstructor import built_by_seed
+from sculpt_plugins.fields.hash_grid.config import HashGridFieldConfig
 from sculpt_plugins.initializers.volume_rendering.config import VolumeRenderingConfig
 
 _HULL_STEPS = 60
 _SHARES = (4, 2, 1)
 """Of the finest cells' number, how few there are in each third of the steps: a wide dent is found before a narrow one,
 and what few views leave open stays smooth."""
-_FINAL_RATE = 0.2
+_FIELD_RATE, _FINAL_RATE = 8e-3, 0.03
+"""Fast at first, since hulls of few views lie far outside, and slow at the end, since what has settled is smooth."""
 _EIKONAL = 0.1
 _SHARPNESS, _SHARPNESS_RATE = 60.0, 3e-3
 _STEPS_ACROSS, _OCCUPIED_CELLS, _MASK_WEIGHT = 128, 64, 0.1
@@ -78,7 +78,6 @@ class VolumeRendering(Initializer):
             return sample(volume.field, (x, y, z), config.cells, device, block=_BLOCK)
 
     def _build(self) -> LogisticVolume:
-        field = registry.default("field", "hash-grid")
-        assert isinstance(field, FieldConfig)  # noqa: S101
+        field = HashGridFieldConfig(rate=_FIELD_RATE)
         shape = SdfShape(field=field, radiance=RadianceConfig(), eikonal_weight=_EIKONAL, mesh_cells=self._config.cells)
         return LogisticVolume(shape, _SHARPNESS, _SHARPNESS_RATE)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 from sculpt_framework.config import FieldConfig, RasterizerConfig
 from sculpt_framework.free_gaussians.config import FreeGaussiansConfig
 from sculpt_framework.ranges import above, at_least, between
-from sculpt_framework.volume_rendering.config import RadianceConfig, SdfShape
+from sculpt_framework.volume_rendering.config import RadianceConfig, SdfShape, ShapeWeights
 
 if TYPE_CHECKING:
     import torch
@@ -78,7 +78,7 @@ class GuidedGaussiansConfig(FreeGaussiansConfig, ABC):
         shape = SdfShape(
             field=self.field,
             radiance=self.radiance,
-            eikonal_weight=self.rays.eikonal_weight,
+            weights=ShapeWeights(eikonal=self.rays.eikonal_weight),
             mesh_cells=self.mesh_cells,
         )
         return LogisticVolume(shape, self.rays.sharpness, self.rays.sharpness_rate)

@@ -89,12 +89,22 @@ class VolumeConfig(MethodConfig, ABC):
 
 
 @dataclass(frozen=True, kw_only=True)
+class ShapeWeights:
+    """Factors of the terms of a field's own shape."""
+
+    eikonal: float
+    """Of the mean squared difference of its slope from 1."""
+    bending: float = 0.0
+    """Of the mean size of its Laplacian beside the surface."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class SdfShape:
     """What a volume of a signed distance field is made of."""
 
     field: FieldConfig
     radiance: RadianceConfig
-    eikonal_weight: float
+    weights: ShapeWeights
     mesh_cells: int
 
 
@@ -111,6 +121,6 @@ class SdfVolumeConfig(VolumeConfig, ABC):
         return SdfShape(
             field=self.field,
             radiance=self.radiance,
-            eikonal_weight=self.eikonal_weight,
+            weights=ShapeWeights(eikonal=self.eikonal_weight),
             mesh_cells=self.mesh_cells,
         )

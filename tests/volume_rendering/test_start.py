@@ -44,8 +44,8 @@ def apart(start: SdfFunction) -> float:
 
 
 def test_ten_views_show_hollows_that_no_outline_does(views: list[View]):
-    hull, *_, learned = starts(views)
-    assert apart(learned) < 0.65 * apart(hull)
+    hull, *_, learned = starts(views, replace(SMALL, steps=400))
+    assert apart(learned) < 0.5 * apart(hull)
 
 
 def test_nothing_of_it_leaves_the_hull_and_it_is_always_the_same(views: list[View]):

@@ -8,7 +8,7 @@ from torch import nn
 from torch.autograd import gradcheck
 
 from sculpt_framework.volume_rendering.logistic import opacity
-from sculpt_framework.volume_rendering.sdf_volume import eikonal, slopes
+from sculpt_framework.volume_rendering.sdf_volume import bending, eikonal, slopes, values_around
 from sculpt_framework.volume_rendering.stretches import OccupiedCells, Rays, stretches_of
 from sculpt_framework.volume_rendering.weights import weigh
 from sculpt_plugins.methods.volsdf.volume import density
@@ -93,3 +93,26 @@ def test_the_eikonal_term():
     assert slope.grad is not None
     assert slope.grad[0].tolist() == [0, 0, 0]
     assert gradcheck(eikonal, (slope.detach()[1:].requires_grad_(),))
+
+
+class Ball(torch.nn.Module):
+    def forward(self, points: torch.Tensor) -> torch.Tensor:
+        return points.norm(dim=1) - 0.5
+
+
+def bent(points: torch.Tensor) -> torch.Tensor:
+    return bending(values_around(Ball(), points, 0.01), Ball()(points), 0.01)
+
+
+def test_bending_is_twice_the_mean_curvature_beside_the_surface():
+    beside = torch.tensor([[0.5, 0, 0], [0, -0.3, 0.4], [0, 0, 0.52]], dtype=torch.float64)
+    far = torch.tensor([[0.1, 0, 0], [0.9, 0, 0]], dtype=torch.float64)
+    expected = (2 / beside.norm(dim=1)).mean()
+    assert bent(torch.cat([beside, far])) == pytest.approx(float(expected), rel=1e-3)
+    assert bent(far) == 0
+
+
+def test_bending_has_its_gradient():
+    around = torch.randn(2, 3, 5, dtype=torch.float64, generator=torch.Generator().manual_seed(0)).requires_grad_()
+    middle = torch.tensor([0.01, -0.02, 0.03, 0.2, -0.7], dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(lambda a, m: bending(a, m, 0.1), (around, middle))

@@ -13,7 +13,7 @@ from sculpt_framework.shape_from_images.field_fit import fit_field
 from sculpt_framework.shape_from_images.volume import Volume, sample
 from sculpt_framework.shape_from_images.within_hull import within_hull
 from sculpt_framework.types import Box, View
-from sculpt_framework.volume_rendering.config import Passing, RadianceConfig, SdfShape
+from sculpt_framework.volume_rendering.config import Passing, RadianceConfig, SdfShape, ShapeWeights
 from sculpt_framework.volume_rendering.learner import VolumeLearner
 from sculpt_framework.volume_rendering.logistic import LogisticVolume
 from sculpt_framework.volume_rendering.pixels import Pixels
@@ -27,7 +27,8 @@ _SHARES = (4, 2, 1)
 and what few views leave open stays smooth."""
 _FIELD_RATE, _FINAL_RATE = 8e-3, 0.03
 """Fast at first, since hulls of few views lie far outside, and slow at the end, since what has settled is smooth."""
-_EIKONAL = 0.1
+_WEIGHTS = ShapeWeights(eikonal=0.1, bending=5e-4)
+"""Where few views look, much has the same colours; of that the least bent is believed."""
 _SHARPNESS, _SHARPNESS_RATE = 60.0, 3e-3
 _STEPS_ACROSS, _OCCUPIED_CELLS, _MASK_WEIGHT = 128, 64, 0.1
 _BLOCK = 2
@@ -79,5 +80,5 @@ class VolumeRendering(Initializer):
 
     def _build(self) -> LogisticVolume:
         field = HashGridFieldConfig(rate=_FIELD_RATE)
-        shape = SdfShape(field=field, radiance=RadianceConfig(), eikonal_weight=_EIKONAL, mesh_cells=self._config.cells)
+        shape = SdfShape(field=field, radiance=RadianceConfig(), weights=_WEIGHTS, mesh_cells=self._config.cells)
         return LogisticVolume(shape, _SHARPNESS, _SHARPNESS_RATE)

@@ -103,6 +103,8 @@ class SdfShape:
     """What a volume of a signed distance field is made of."""
 
     field: FieldConfig
+    field_rate: float = 1.0
+    """Factor of the field's learning rates."""
     radiance: RadianceConfig
     weights: ShapeWeights
     mesh_cells: int

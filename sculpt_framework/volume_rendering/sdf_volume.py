@@ -1,5 +1,7 @@
 """A signed distance field as a volume: what NeuS and VolSDF have in common."""
 
+from dataclasses import replace
+
 import torch
 from jaxtyping import Float, Int64
 from torch import Tensor
@@ -26,7 +28,7 @@ class SdfVolume(Volume):
 
     def __init__(self, shape: SdfShape):
         super().__init__()
-        self._weights = shape.weights
+        self._weights, self._field_rate = shape.weights, shape.field_rate
         self._spacing = 2.0 / shape.mesh_cells
         self.field = shape.field.build(torch.device("cpu"))
         self.field.set_detail(self._spacing)
@@ -40,7 +42,8 @@ class SdfVolume(Volume):
         return self.field, discover(self.field, grid, coarse_level=0, lipschitz=_STEEPEST, device=device)
 
     def parameter_groups(self) -> list[ParameterGroup]:
-        return [*self.field.parameter_groups(), *self._radiance.parameter_groups()]
+        own = [replace(group, rate=self._field_rate * group.rate) for group in self.field.parameter_groups()]
+        return [*own, *self._radiance.parameter_groups()]
 
     def shape_terms(self, rays: Rays, stretches: Stretches, generator: torch.Generator) -> dict[str, Float[Tensor, ""]]:
         if self._weights.eikonal == 0 and self._weights.bending == 0:

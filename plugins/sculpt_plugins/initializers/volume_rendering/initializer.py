@@ -6,6 +6,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from sculpt_framework import registry
+from sculpt_framework.config import FieldConfig
 from sculpt_framework.geometry.signed_distance import SdfFunction
 from sculpt_framework.initializers import Initializer
 from sculpt_framework.posed_images.training_images import prepare_images
@@ -18,15 +20,15 @@ from sculpt_framework.volume_rendering.learner import VolumeLearner
 from sculpt_framework.volume_rendering.logistic import LogisticVolume
 from sculpt_framework.volume_rendering.pixels import Pixels
 from sculpt_framework.volume_rendering.reconstructor import built_by_seed
-from sculpt_plugins.fields.hash_grid.config import HashGridFieldConfig
 from sculpt_plugins.initializers.volume_rendering.config import VolumeRenderingConfig
 
 _HULL_STEPS = 60
 _SHARES = (4, 2, 1)
 """Of the finest cells' number, how few there are in each third of the steps: a wide dent is found before a narrow one,
 and what few views leave open stays smooth."""
-_FIELD_RATE, _FINAL_RATE = 8e-3, 0.03
-"""Fast at first, since hulls of few views lie far outside, and slow at the end, since what has settled is smooth."""
+_FIELD_RATE, _FINAL_RATE = 2.0, 0.03
+"""Of the field's own rates, and of all at the end. Fast at first, since hulls of few views lie far outside, and slow at
+the end, since what has settled is smooth."""
 _WEIGHTS = ShapeWeights(eikonal=0.1, bending=5e-4)
 """Where few views look, much has the same colours; of that the least bent is believed."""
 _SHARPNESS, _SHARPNESS_RATE = 60.0, 3e-3
@@ -79,6 +81,13 @@ class VolumeRendering(Initializer):
             return sample(volume.field, (x, y, z), config.cells, device, block=_BLOCK)
 
     def _build(self) -> LogisticVolume:
-        field = HashGridFieldConfig(rate=_FIELD_RATE)
-        shape = SdfShape(field=field, radiance=RadianceConfig(), weights=_WEIGHTS, mesh_cells=self._config.cells)
+        field = registry.default("field", "hash-grid")
+        assert isinstance(field, FieldConfig)  # noqa: S101
+        shape = SdfShape(
+            field=field,
+            field_rate=_FIELD_RATE,
+            radiance=RadianceConfig(),
+            weights=_WEIGHTS,
+            mesh_cells=self._config.cells,
+        )
         return LogisticVolume(shape, _SHARPNESS, _SHARPNESS_RATE)

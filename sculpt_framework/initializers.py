@@ -13,9 +13,9 @@ from sculpt_framework.types import View
 
 class Initializer(ABC):
     @property
-    @abstractmethod
     def silhouette_first(self) -> bool:
         """Whether the start is so rough that silhouettes alone must shape it before colours can (paper, 3.3)."""
+        return False
 
     @property
     def findings(self) -> Mapping[str, float]:

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, Float64
 
+from sculpt_framework.geometry.angles import angles_between
 from sculpt_framework.types import Camera, View
 
 _ANGLES, _BEST_ANGLE = (4.0, 25.0), 10.0
@@ -82,9 +83,7 @@ def choose_pairs(
     spread evenly over the cameras.
     """
     ways = np.array([camera.position.double().numpy() for camera in cameras]).reshape(-1, 3) - center
-    lengths = np.linalg.norm(ways, axis=1, keepdims=True)
-    units = ways / np.where(lengths > 0, lengths, 1)
-    degrees = np.degrees(np.arccos(np.clip(units @ units.T, -1, 1)))
+    degrees = angles_between(ways)
     useful = (degrees >= _ANGLES[0]) & (degrees <= _ANGLES[1])
     partner = np.argmin(np.where(useful, np.abs(degrees - _BEST_ANGLE), np.inf), axis=1) if len(cameras) else []
     pairs = [(i, int(j)) for i, j in enumerate(partner) if useful[i, j]]

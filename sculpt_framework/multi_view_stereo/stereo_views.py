@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, Int64
 
+from sculpt_framework.geometry.angles import angles_between
 from sculpt_framework.shape_from_images.windows import camera_arrays, covered_window, relative_poses
 from sculpt_framework.threads import in_threads
 from sculpt_framework.types import Camera, View
@@ -60,11 +61,8 @@ def compared_with(positions: Float32[np.ndarray, "v 3"], count: int) -> list[Int
     Best is an angle of some 12 degrees, as seen from the origin, and not to stand where another of them does: from
     several sides, one or the other sees what is hidden from the rest.
     """
-    distances = np.maximum(np.linalg.norm(positions, axis=1, keepdims=True), 1e-9)
-    directions = (positions / distances).astype(float)
-    angles = np.degrees(np.arccos(np.clip(directions @ directions.T, -1, 1)))
     chosen = []
-    for i, row in enumerate(angles):
+    for i, row in enumerate(angles_between(positions)):
         worth = np.exp(-0.5 * ((row - _AIM) / np.where(row < _AIM, _NARROW, _WIDE)) ** 2)
         worth[(row < _ANGLES[0]) | (row > _ANGLES[1])] = 0
         worth[i] = 0

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sculpt_framework.geometry.angles import angles_between
 from sculpt_framework.plan.directions import Gloss, gloss, spread
 from sculpt_framework.plan.pictures import (
     WIDTHS,
@@ -94,14 +95,13 @@ def gather(scene: Scene) -> Evidence:
 
 
 def _apart(views: Sequence[View], box: Box) -> float:
-    """180 where there is but one."""
-    if len(views) < 2:
+    """180 where there is but one, or none."""
+    if not views:
         return 180.0
-    places = np.stack([(view.camera.position.double() - box.center.double()).numpy() for view in views])
-    ways = places / np.maximum(np.linalg.norm(places, axis=1, keepdims=True), 1e-9)
-    cosines = ways @ ways.T
-    np.fill_diagonal(cosines, -1.0)
-    return float(np.median(np.degrees(np.arccos(np.clip(cosines.max(axis=1), -1.0, 1.0)))))
+    places = [(view.camera.position.double() - box.center.double()).numpy() for view in views]
+    angles = angles_between(np.stack(places))
+    np.fill_diagonal(angles, 180.0)
+    return float(np.median(angles.min(axis=1)))
 
 
 def _pixel(view: View, scene: Scene) -> float:

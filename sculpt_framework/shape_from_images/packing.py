@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float32, Int64
 
+from sculpt_framework.geometry.angles import angles_between
 from sculpt_framework.shape_from_images.windows import camera_arrays, covered_window, relative_poses
 from sculpt_framework.types import View
 
@@ -42,10 +43,8 @@ class PackedViews:
         Angles in degrees, between the directions in which the views stand as seen from the origin, within ``limits``.
         Sorted by angle, nearest view first.
         """
-        directions = self.positions / np.maximum(np.linalg.norm(self.positions, axis=1, keepdims=True), 1e-9)
-        angles = np.degrees(np.arccos(np.clip(directions.astype(float) @ directions.T.astype(float), -1, 1)))
         chosen = []
-        for i, row in enumerate(angles):
+        for i, row in enumerate(angles_between(self.positions)):
             fit = np.flatnonzero((row >= limits[0]) & (row <= limits[1]) & (np.arange(len(row)) != i))
             fit = fit[np.argsort(np.abs(row[fit] - angle), kind="stable")][:count]
             chosen.append(fit[np.argsort(row[fit], kind="stable")])

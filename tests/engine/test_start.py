@@ -75,10 +75,6 @@ class Balls(Initializer):
     def __init__(self, radii: Sequence[float]):
         self._radii = radii
 
-    @property
-    def silhouette_first(self) -> bool:
-        return False
-
     def targets(self, views: Sequence[View], half_sides: Tensor, device: torch.device) -> Iterator[SdfFunction]:
         for radius in self._radii:
             yield sphere_sdf(radius) if radius else lambda points: torch.ones_like(points[:, 0])

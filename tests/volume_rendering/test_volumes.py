@@ -95,7 +95,7 @@ def test_the_eikonal_term():
     assert gradcheck(eikonal, (slope.detach()[1:].requires_grad_(),))
 
 
-class Ball(torch.nn.Module):
+class Ball(nn.Module):
     def forward(self, points: torch.Tensor) -> torch.Tensor:
         return points.norm(dim=1) - 0.5
 
@@ -115,4 +115,4 @@ def test_bending_is_twice_the_mean_curvature_beside_the_surface():
 def test_bending_has_its_gradient():
     around = torch.randn(2, 3, 5, dtype=torch.float64, generator=torch.Generator().manual_seed(0)).requires_grad_()
     middle = torch.tensor([0.01, -0.02, 0.03, 0.2, -0.7], dtype=torch.float64, requires_grad=True)
-    assert torch.autograd.gradcheck(lambda a, m: bending(a, m, 0.1), (around, middle))
+    assert gradcheck(lambda a, m: bending(a, m, 0.1), (around, middle))

@@ -25,10 +25,6 @@ class PhotoHull(Initializer):
     def __init__(self, config: PhotoHullConfig):
         self._config = config
 
-    @property
-    def silhouette_first(self) -> bool:
-        return False
-
     def targets(
         self, views: Sequence[View], half_sides: Float[Tensor, " 3"], device: torch.device
     ) -> Iterator[SdfFunction]:

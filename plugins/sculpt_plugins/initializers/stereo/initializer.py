@@ -30,10 +30,6 @@ class Stereo(Initializer):
         """Share of the object's pixels that have a depth, and the mean confidence of these."""
         return self._findings
 
-    @property
-    def silhouette_first(self) -> bool:
-        return False
-
     def targets(
         self, views: Sequence[View], half_sides: Float[Tensor, " 3"], device: torch.device
     ) -> Iterator[SdfFunction]:

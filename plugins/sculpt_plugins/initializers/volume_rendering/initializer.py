@@ -51,10 +51,6 @@ class VolumeRendering(Initializer):
         """The mean absolute difference of colours at the end."""
         return self._findings
 
-    @property
-    def silhouette_first(self) -> bool:
-        return False
-
     def targets(
         self, views: Sequence[View], half_sides: Float[Tensor, " 3"], device: torch.device
     ) -> Iterator[SdfFunction]:

@@ -8,7 +8,7 @@ from typing import cast
 from sculpt_framework import registry
 from sculpt_framework.config import DatasetConfig
 from sculpt_framework.config import MethodConfig as MethodConfig
-from sculpt_framework.engine.progress import Report as Report
+from sculpt_framework.engine.session import Report as Report
 from sculpt_framework.engine.session import Session as Session
 from sculpt_framework.evaluation.painted import PaintedMesh as PaintedMesh
 from sculpt_framework.reconstructor import Host as Host

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from sculpt_framework.binders import Binder
     from sculpt_framework.constraints import Constraint
     from sculpt_framework.datasets import Dataset
-    from sculpt_framework.engine.progress import Saved
+    from sculpt_framework.engine.checkpoint import Saved
     from sculpt_framework.exporters import Exporter
     from sculpt_framework.extractors import Extractor
     from sculpt_framework.fields import Field
@@ -204,7 +204,7 @@ class MethodConfig(ABC):
 
         Raises CheckpointError where what it is drawn from, beside the mesh, is not there.
         """
-        from sculpt_framework.engine.saving import MESH_NAME
+        from sculpt_framework.engine.output import MESH_NAME
         from sculpt_framework.export.drawn_mesh import draw_saved_mesh
 
         return draw_saved_mesh(folder / MESH_NAME)

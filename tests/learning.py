@@ -8,4 +8,4 @@ from sculpt_framework.engine.session import Session
 def beginning_of(session: Session) -> dict[str, Any]:
     """Takes the first step, and measures: what a run begins with need not be in a row of its curve."""
     next(iter(session))
-    return session.evaluator.measure(session.reconstructor)
+    return session.host.evaluator.measure(session.reconstructor)

@@ -1,20 +1,54 @@
-"""A checkpoint: one safetensors file, progress and version in its header, never half written."""
+"""A checkpoint: a state, and where the run stood. On disk one safetensors file, never half written."""
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
-from sculpt_framework.engine.progress import Progress
 from sculpt_framework.errors import CheckpointError
 from sculpt_framework.export.atomic import write_atomically
+from sculpt_framework.parameters import state_below
 
 FORMAT = 1
 FILE_NAME = "latest.safetensors"
+_BEST = "best/"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Progress:
+    """With the method's state, all that resuming needs."""
+
+    outer: int
+    """Steps taken."""
+    progress: float
+    """Share of the run that is done."""
+    trained_seconds: float
+    best_psnr: float | None
+    """Of the best state, whose tensors are saved beside the latest."""
+    rate_scale: float
+    recoveries: int
+    milestones: list[dict[str, Any]]
+
+
+Saved = tuple[Mapping[str, Tensor], Progress]
+"""A checkpoint: the latest state with the best one (``with_best``), and where the run stood."""
+
+
+def with_best(latest: Mapping[str, Tensor], best: Mapping[str, Tensor] | None) -> dict[str, Tensor]:
+    """Two states as one, to be saved in one file: they must never be of different ages."""
+    return {**latest, **{f"{_BEST}{name}": value for name, value in (best or {}).items()}}
+
+
+def split_best(state: Mapping[str, Tensor]) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+    """Inverse of ``with_best``; the second is empty where there was none."""
+    latest = {name: value for name, value in state.items() if not name.startswith(_BEST)}
+    best = state_below(state, _BEST)
+    return latest, best
 
 
 def write_checkpoint(folder: Path, state: Mapping[str, Tensor], progress: Progress) -> None:

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 
 from torch import Tensor
 
-from sculpt_framework.engine.progress import Progress
+from sculpt_framework.engine.checkpoint import Progress
 
 _RECOVERIES_AT_MOST = 3
 _MARGIN_DB = 0.3

@@ -1,59 +1,77 @@
-"""A run measured while it trains: the rows of its curve, and what they cost."""
+"""When a method at work is measured, and what follows from it: the best state, and an early end."""
 
-from collections.abc import Callable, Mapping
-from typing import Any, Literal
+from torch import Tensor
 
-import torch
-
-from sculpt_framework.engine.clock import TrainingClock
-from sculpt_framework.engine.milestones import Milestones
-from sculpt_framework.evaluation.evaluator import Evaluator
-from sculpt_framework.evaluation.mesh import Mesh
-from sculpt_framework.events import EventName
-from sculpt_framework.parallel.processes import Processes
+from sculpt_framework.engine import announcements
+from sculpt_framework.engine.hosting import Hosting
+from sculpt_framework.engine.known_good import KnownGood
+from sculpt_framework.evaluation.album import Album
+from sculpt_framework.evaluation.pictures import Picture
 from sculpt_framework.reconstructor import Reconstructor
+from sculpt_framework.stop_rule import StopRule
 
 
 class Measuring:
-    """Adds rows to the curve and tells them. The clock stands still meanwhile; one process measures for all."""
+    """Of one method in one run. What is the best of its states so far is noted in ``known_good``."""
 
-    def __init__(
-        self,
-        evaluator: Evaluator,
-        clock: TrainingClock,
-        milestones: Milestones,
-        processes: Processes,
-        tell: Callable[[EventName, Mapping[str, Any]], None],
-    ):
-        self._evaluator, self._clock, self._tell = evaluator, clock, tell
-        self.milestones, self.processes = milestones, processes
+    def __init__(self, host: Hosting, method: Reconstructor, known_good: KnownGood):
+        self._host, self._method, self._known_good = host, method, known_good
+        shown = host.evaluator.views[:1] or host.views[:1]
+        self._album = Album(shown[0], host.evaluator.reference)
 
-    def due(self, progress: float) -> Literal["stage", "share", "time"] | None:
-        """Why a measurement is due now, if one is."""
-        return self.processes.first(lambda: self.milestones.due(progress, self._clock.train_seconds))
+    def begin(self) -> None:
+        """Before the first step, or going on: unless it has been before, what a method begins with is measured."""
+        milestones = self._host.milestones
+        if milestones.staged:
+            return
+        if self._method.begins_with_surface:
+            milestones.enter_stage()
+        else:
+            milestones.wait()
 
-    def start(self, make: Callable[[], tuple[Mesh, Mapping[str, Any]] | None]) -> None:
-        """A row of what an initializer has made, if there is time for one."""
-        if self.processes.first(self.milestones.start_due):
-            self._add("start", 0.0, lambda: self._evaluator.measure_start(make))
+    def if_due(self) -> dict[str, Tensor] | None:
+        """The state that was measured, if one was."""
+        host, progress = self._host, self._host.shared_progress()
+        if (reason := host.processes.first(lambda: host.milestones.due(progress, host.clock.train_seconds))) is None:
+            return None
+        self.measure(reason, progress)
+        if host.step == 0:
+            with host.clock.pause():
+                self._album.begin(self._method)
+        self._end_if_level()
+        return self._method.state()
 
-    def method(self, reason: str, progress: float, method: Reconstructor) -> None:
-        """A row of what the method has; of the result, all there is to measure."""
-        measure = self._evaluator.measure_result if reason == "result" else self._evaluator.measure
-        self._add(reason, progress, lambda: measure(method))
+    def measure(self, reason: str, progress: float) -> None:
+        """A row of what the method has now; of the result, all there is to measure."""
+        host = self._host
+        measure = host.evaluator.measure_result if reason == "result" else host.evaluator.measure
+        host.record(reason, progress, lambda: measure(self._method))
+        host.schedule.end_by(host.deadline(share_left=0.0, seconds_left=3.0 + host.milestones.seconds_of_end))
+        self._keep_best(reason, host.milestones.latest("psnr"))
 
-    def _add(self, reason: str, progress: float, measure: Callable[[], dict[str, Any] | None]) -> None:
-        began = self._clock.now
-        with self._clock.pause(), torch.no_grad():
-            measured = self.processes.first(measure)
-        self.milestones.charge(seconds := self._clock.now - began)
-        if measured is not None:
-            clock = self._clock
-            seconds_so_far = {
-                "t_train_s": clock.train_seconds,
-                "t_wall_s": clock.wall_seconds,
-                "t_cpu_s": clock.cpu_seconds,
-            }
-            row = {"reason": reason, "progress": progress, **seconds_so_far, **measured}
-            self.milestones.add(progress, row)
-            self._tell("evaluation", {**row, "seconds": seconds})
+    def pictures(self) -> dict[str, dict[str, Picture]]:
+        """A held-out view, or a train view if none is, beside what the run makes of it, and made of it at its start."""
+        return self._album.pages(self._method)
+
+    def _keep_best(self, reason: str, score: float | None) -> None:
+        """Keep the state if its held-out views are the best of the last stage so far.
+
+        Where the run counts steps, measurements at clock times are passed over: which state wins must not depend on how
+        fast the machine is.
+        """
+        chosen = reason != "time" or self._host.config.max_time is not None
+        if score is not None and self._in_last_stage and chosen:
+            self._known_good.offer(score, self._method.state)
+
+    def _end_if_level(self) -> None:
+        """Have a run that gains no more come to its end, and its rates with it."""
+        host, config = self._host, self._host.config
+        rule, watched = StopRule(least_gain=config.level_gain_db), host.milestones.of_stage("psnr")
+        ripe = self._in_last_stage and host.step >= config.steps
+        if ripe and rule.stops(watched) and (factor := host.schedule.cut_short()) is not None:
+            host.milestones.cut_short(factor)
+            host.tell("decision", announcements.cut_short(rule.gain(watched), factor))
+
+    @property
+    def _in_last_stage(self) -> bool:
+        return self._method.stage == self._method.stages - 1

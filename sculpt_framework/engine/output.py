@@ -10,6 +10,8 @@ from sculpt_framework.config import MethodConfig
 from sculpt_framework.errors import OutputError
 
 ROOT = Path("outputs")
+CONFIG_NAME = "config.json"
+MESH_NAME = "mesh.ply"
 
 
 def check_output(config: MethodConfig) -> None:

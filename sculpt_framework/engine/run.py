@@ -18,10 +18,8 @@ from torch import Tensor
 from sculpt_framework.commands import Recorded, read_recorded
 from sculpt_framework.config import MethodConfig
 from sculpt_framework.device import pick_device
-from sculpt_framework.engine.checkpoint import read_checkpoint, write_checkpoint
-from sculpt_framework.engine.output import prepare_output
-from sculpt_framework.engine.progress import Progress
-from sculpt_framework.engine.saving import CONFIG_NAME, MESH_NAME, save_result
+from sculpt_framework.engine.checkpoint import Progress, read_checkpoint, write_checkpoint
+from sculpt_framework.engine.output import CONFIG_NAME, MESH_NAME, prepare_output
 from sculpt_framework.engine.session import Session
 from sculpt_framework.engine.steering import Steering
 from sculpt_framework.errors import CheckpointError, SculptError, TrainingFailed
@@ -94,7 +92,7 @@ def run(config: MethodConfig, *, resume: Path | None, started: float) -> None:
             if processes.leads:
                 observers += [observer.build(folder) for observer in config.observers]
             if session.plan is not None:
-                session.tell("plan", session.plan.values())
+                session.host.tell("plan", session.plan.values())
             _train(session, folder, observers, stop_requested)
     finally:
         for observer in observers:
@@ -130,7 +128,7 @@ def _run_folder(session: Session, frame: WorldFrame | None, resume: Path | None)
 
 
 def _train(session: Session, folder: Path, observers: Sequence[Observer], stop_requested: "StopFlag") -> None:
-    processes, config = session.processes, session.config
+    processes, config = session.host.processes, session.config
     intervals = [o.snapshot_seconds for o in observers if o.snapshot_seconds is not None]
     steering = Steering(
         session,
@@ -152,14 +150,14 @@ def _train(session: Session, folder: Path, observers: Sequence[Observer], stop_r
     processes.close()
     if not processes.leads:
         return
-    files = save_result(folder, session.mesh(), session.reconstructor)
+    files = session.save_result(folder)
     files |= {"curve": folder / "curve.csv", "run_dir": folder, "report": folder / REPORT_NAME}
     session.announce_end({kind: str(path) for kind, path in files.items()})
     try:
         write_report(folder, session.pictures())
     except SculptError as error:
         # The mesh is saved and measured: a page about it is not worth losing that.
-        session.warn(f"no report: {error}")
+        session.host.warn(f"no report: {error}")
     if session.failure is not None:
         raise TrainingFailed(f"{session.failure}; the best mesh until then is {files['mesh']}")
 

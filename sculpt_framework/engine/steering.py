@@ -59,7 +59,7 @@ class Steering:
             self.obey(self._replay.pop(0).command, "replay")
         self._poll()
         if self._paused:
-            with self._session.clock.pause():
+            with self._session.host.clock.pause():
                 while self._paused and not self._stopping and not self._interrupted():
                     self._snapshot_if_due()
                     time.sleep(_PAUSE_POLL_SECONDS)
@@ -76,7 +76,7 @@ class Steering:
             message, facts = self._do(command, self._session.step)
         except (SculptError, EmptySurfaceError, FloatingPointError) as error:
             message, facts = f"refused: {error}", {"refused": True}
-        self._session.tell(
+        self._session.host.tell(
             "action", {"message": message, "command": command_to_json(command), "source": source, **facts}
         )
 
@@ -116,7 +116,7 @@ class Steering:
                 return self._session.reconstructor.obey(command, outer, self._folder), {}
 
     def _export(self) -> tuple[str, Mapping[str, Any]]:
-        with self._session.clock.pause():
+        with self._session.host.clock.pause():
             mesh = self._session.mesh()
             folder = self._folder / "exports"
             folder.mkdir(exist_ok=True)
@@ -133,11 +133,11 @@ class Steering:
             return
         if now < self._next_snapshot:
             return
-        with self._session.clock.pause():
+        with self._session.host.clock.pause():
             snapshot = self._session.reconstructor.snapshot()
             if snapshot is None:
                 return
-            self._session.tell("snapshot", {"snapshot": snapshot})
+            self._session.host.tell("snapshot", {"snapshot": snapshot})
         self._snapshot_wanted = False
         cost = time.monotonic() - now
         self._next_snapshot = now + max(self._snapshot_seconds or 0.0, cost / _SNAPSHOT_SHARE)

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from sculpt_framework.engine.output import CONFIG_NAME, MESH_NAME
 from sculpt_framework.engine.run import read_config
-from sculpt_framework.engine.saving import CONFIG_NAME, MESH_NAME
 from sculpt_framework.errors import CheckpointError, DataError
 from sculpt_framework.evaluation.mesh import Mesh
 from sculpt_framework.export.drawn_mesh import GREY

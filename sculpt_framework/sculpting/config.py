@@ -20,7 +20,7 @@ from sculpt_framework.errors import ConfigError
 from sculpt_framework.ranges import above, at_least, between, require
 
 if TYPE_CHECKING:
-    from sculpt_framework.engine.progress import Saved
+    from sculpt_framework.engine.checkpoint import Saved
     from sculpt_framework.plan.decision import ScenePlan
     from sculpt_framework.reconstructor import Host, Reconstructor
     from sculpt_framework.types import Camera, Rendering, Scene

@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from sculpt_framework.engine.checkpoint import read_checkpoint
-from sculpt_framework.engine.progress import Progress, Saved, with_best
+from sculpt_framework.engine.checkpoint import Progress, Saved, read_checkpoint, with_best
 from sculpt_framework.engine.run import CHECKPOINTS, read_config, told_in
 from sculpt_framework.engine.session import Session
 from sculpt_framework.engine.steering import Steering

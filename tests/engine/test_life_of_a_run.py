@@ -21,9 +21,8 @@ from torch import Tensor
 from sculpt_framework.cli.data import write_masks
 from sculpt_framework.config import MethodConfig
 from sculpt_framework.engine import steering as steering_module
-from sculpt_framework.engine.checkpoint import read_checkpoint, write_checkpoint
+from sculpt_framework.engine.checkpoint import Progress, read_checkpoint, write_checkpoint
 from sculpt_framework.engine.milestones import Milestones
-from sculpt_framework.engine.progress import Progress
 from sculpt_framework.engine.run import load_finished, run, run_status
 from sculpt_framework.engine.session import Session
 from sculpt_framework.engine.steering import Steering

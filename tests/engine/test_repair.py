@@ -17,8 +17,7 @@ from sculpt_framework.demo_scenes.distance import Points, Values, smooth_union, 
 from sculpt_framework.demo_scenes.folder import DemoSettings, write_scene
 from sculpt_framework.demo_scenes.objects import DemoObject
 from sculpt_framework.demo_scenes.texture import SolidTexture
-from sculpt_framework.engine.checkpoint import read_checkpoint, write_checkpoint
-from sculpt_framework.engine.progress import Progress
+from sculpt_framework.engine.checkpoint import Progress, read_checkpoint, write_checkpoint
 from sculpt_framework.engine.run import run
 from sculpt_framework.engine.session import Session
 from sculpt_framework.errors import CheckpointError, ConfigError

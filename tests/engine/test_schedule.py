@@ -9,8 +9,8 @@ from small_runs import TWO_STAGES, small_config
 
 from sculpt_framework.engine.clock import TrainingClock, process_start
 from sculpt_framework.engine.milestones import Milestones
+from sculpt_framework.engine.planning import split_views
 from sculpt_framework.engine.schedule import Schedule
-from sculpt_framework.engine.views import split_views
 from sculpt_framework.evaluation.evaluator import some_views
 from sculpt_framework.sculpting.config import StageConfig
 from sculpt_framework.sculpting.rates import Rates

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from sculpt_framework.appearances import bands
 from sculpt_framework.config import AppearanceConfig, MethodConfig
-from sculpt_framework.engine.progress import Progress
+from sculpt_framework.engine.checkpoint import Progress
 from sculpt_framework.engine.session import Session
 from sculpt_framework.events import Event
 from sculpt_framework.sculpting.method import Sculpting

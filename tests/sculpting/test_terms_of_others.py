@@ -14,8 +14,7 @@ import sculpt_framework as sculpt
 from sculpt_framework import registry
 from sculpt_framework.config import LossConfig
 from sculpt_framework.demo_scenes.objects import demo_object
-from sculpt_framework.engine.checkpoint import read_checkpoint, write_checkpoint
-from sculpt_framework.engine.progress import Progress
+from sculpt_framework.engine.checkpoint import Progress, read_checkpoint, write_checkpoint
 from sculpt_framework.errors import ConfigError
 from sculpt_framework.evaluation.geometry import MeasuredMesh
 from sculpt_framework.export.mesh_pixels import draw_mesh

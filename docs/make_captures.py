@@ -104,7 +104,7 @@ def capture(kind: str, make: Callable[[], list[Piece]], folder: Path, every: int
         for left in (folder / "raw").iterdir():
             left.unlink()
         (folder / "raw").rmdir()
-    print(f"{folder}: {len(rig.shots)} views, {time.monotonic() - began:.0f} s", flush=True)  # noqa: T201
+    print(f"{folder}: {len(rig.shots)} views, {time.monotonic() - began:.0f} s", flush=True)
 
 
 def write_cameras(kind: str, rig: rigs.Rig, folder: Path) -> None:

@@ -44,8 +44,11 @@ def main() -> int:
     parser.add_argument("--keep", type=Path, help="where to leave the GLB files")
     options = parser.parse_args()
     finished = [(folder, load_finished(folder)) for folder in options.run_dir]
-    say("| run | faces | splats, dB | vertex colours, dB | faces in GLB | textured, dB | against splats | MiB | s |")
-    say("|---|---|---|---|---|---|---|---|---|")
+    print(
+        "| run | faces | splats, dB | vertex colours, dB | faces in GLB | textured, dB | against splats | MiB | s |",
+        flush=True,
+    )
+    print("|---|---|---|---|---|---|---|---|---|", flush=True)
     with tempfile.TemporaryDirectory() as aside:
         keep = options.keep or Path(aside)
         keep.mkdir(parents=True, exist_ok=True)
@@ -56,16 +59,22 @@ def main() -> int:
             if splats is None:
                 raise ValueError(f"{folder} has no test views: nothing can be compared")
             before = f"{folder.name} | {plain_cells(folder, run, splats)}"
-            say(f"| {before} | {textured_cells(folder, run, splats, keep / f'{folder.name}.glb', *size, *few)} |")
+            print(
+                f"| {before} | {textured_cells(folder, run, splats, keep / f'{folder.name}.glb', *size, *few)} |",
+                flush=True,
+            )
             if options.whole:
-                say(f"| {before} | {textured_cells(folder, run, splats, keep / f'{folder.name}-whole.glb', *size)} |")
-    say("")
-    say(f"| run | faces | Chamfer | faces of {options.target_faces} | watertight | Chamfer | ratio |")
-    say("|---|---|---|---|---|---|---|")
+                print(
+                    f"| {before} | {textured_cells(folder, run, splats, keep / f'{folder.name}-whole.glb', *size)} |",
+                    flush=True,
+                )
+    print("", flush=True)
+    print(f"| run | faces | Chamfer | faces of {options.target_faces} | watertight | Chamfer | ratio |", flush=True)
+    print("|---|---|---|---|---|---|---|", flush=True)
     for folder, run in finished:
         row = decimation_row(folder, run, options.target_faces)
         if row is not None:
-            say(row)
+            print(row, flush=True)
     return 0
 
 
@@ -141,11 +150,6 @@ def export(folder: Path, out: Path, *words: str) -> float:
     command = [sys.executable, "-m", "sculpt_framework.cli.export", str(folder), "--out", str(out), *words]
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
     return time.monotonic() - started
-
-
-def say(line: str) -> None:
-    sys.stdout.write(f"{line}\n")
-    sys.stdout.flush()
 
 
 if __name__ == "__main__":

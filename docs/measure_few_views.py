@@ -1,13 +1,15 @@
 """What a method makes of few photographs: error over the number of views, beside the visual hull of the same views.
 
     python docs/measure_few_views.py SCENE... [--counts 3 6 10 20] [--methods gaussian-sculpting neus]
-                                     [--from above] [--max-time SECONDS] [--out DIR]
+                                     [--start stereo] [--from above] [--max-time SECONDS] [--out DIR]
 
 A scene is anything with a reference mesh that ``sculpt-train --data`` takes. Its train views are thinned to so many,
 spread evenly over the directions they look from: each is the one farthest from those before (the first is the one
 nearest to the scene's first axis). ``--from above`` takes those above the object's middle, ``--from front`` those
-within 75 degrees of that axis. Told are the Chamfer distance in hundredths of scene units, of the whole surface and of
-what any of all the train views sees of it, the mean angle between normals there, and seconds. Meshes are kept in DIR.
+within 75 degrees of that axis. ``--start`` has bi-level methods begin with that initializer, whatever the plan would
+choose. Told are how many degrees the median view is from the one nearest to it, the Chamfer distance in hundredths of
+scene units, of the whole surface and of what any of all the train views sees of it, the mean angle between normals
+there, and seconds. Meshes are kept in DIR.
 """
 
 import argparse
@@ -29,7 +31,9 @@ from sculpt_framework.evaluation.geometry import MeasuredMesh, chamfer
 from sculpt_framework.evaluation.mesh import Mesh, load_mesh
 from sculpt_framework.evaluation.visibility import seen_by, visible_distances
 from sculpt_framework.export.mesh_files import write_mesh_ply
+from sculpt_framework.plan.evidence import gather
 from sculpt_framework.posed_images.training_images import in_object_frame
+from sculpt_framework.sculpting.config import SculptingConfig
 from sculpt_framework.sculpting.initial_fit import start_mesh
 from sculpt_framework.types import Scene
 
@@ -45,12 +49,13 @@ def main() -> None:
     parser.add_argument("scenes", nargs="+")
     parser.add_argument("--counts", nargs="+", type=int, default=[3, 6, 10, 20])
     parser.add_argument("--methods", nargs="+", default=[HULL, "gaussian-sculpting"])
+    parser.add_argument("--start", choices=registry.names("initializer"))
     parser.add_argument("--from", dest="side", choices=["around", "above", "front"], default="around")
     parser.add_argument("--max-time", type=float)
     parser.add_argument("--out", type=Path)
     request = parser.parse_args()
-    say("| scene | views | method | Chamfer 1e-2 | of what is seen | normals | seconds |")
-    say("|---|---|---|---|---|---|---|")
+    print("| scene | views | degrees apart | method | Chamfer 1e-2 | of what is seen | normals | seconds |", flush=True)
+    print("|---|---|---|---|---|---|---|---|", flush=True)
     ratios: dict[str, list[float]] = {name: [] for name in request.methods}
     for data in request.scenes:
         whole = sculpt.load(data)
@@ -60,9 +65,10 @@ def main() -> None:
         seen = seen_by(reference, [view.camera for view in whole.train])
         for count in request.counts:
             scene = thinned(whole, count, request.side)
+            apart = gather(scene).apart
             for name in request.methods:
                 began = time.perf_counter()
-                mesh = made(scene, name, request.max_time)
+                mesh = made(scene, name, request.start, request.max_time)
                 seconds = time.perf_counter() - began
                 if request.out is not None:
                     request.out.mkdir(parents=True, exist_ok=True)
@@ -71,12 +77,13 @@ def main() -> None:
                 full = chamfer(mesh, reference, samples=SAMPLES, point_to_point=False)
                 shown = visible_distances(mesh, reference, seen)
                 ratios[name].append(full.point_to_surface)
-                say(
-                    f"| {whole.name} | {len(scene.train)} | {name} | {100 * full.point_to_surface:.3f} | "
-                    f"{100 * shown.point_to_surface:.3f} | {shown.normal_error:.1f} | {seconds:.0f} |"
+                print(
+                    f"| {whole.name} | {len(scene.train)} | {apart:.1f} | {name} | {100 * full.point_to_surface:.3f} | "
+                    f"{100 * shown.point_to_surface:.3f} | {shown.normal_error:.1f} | {seconds:.0f} |",
+                    flush=True,
                 )
     for name, found in ratios.items():
-        say(f"\n{name}: median of all {100 * statistics.median(found):.3f}")
+        print(f"\n{name}: median of all {100 * statistics.median(found):.3f}", flush=True)
 
 
 def thinned(scene: Scene, count: int, side: str) -> Scene:
@@ -105,19 +112,22 @@ def spread(directions: Float[np.ndarray, "n 3"], count: int) -> list[int]:
     return chosen
 
 
-def made(scene: Scene, name: str, max_time: float | None) -> Mesh:
+def made(scene: Scene, name: str, start: str | None, max_time: float | None) -> Mesh:
     if name == HULL:
-        hull = registry.default("initializer", HULL)
-        assert isinstance(hull, InitializerConfig)  # noqa: S101
+        hull = initializer(HULL)
         views = [in_object_frame(view, scene.box) for view in scene.train]
         *_, function = hull.build().targets(views, scene.box.half_sides, torch.device("cpu"))
         return start_mesh(function, scene.box, CELLS)
-    return Session(scene, sculpt.methods[name](), max_time=max_time).run().mesh
+    config = sculpt.methods[name]()
+    if start is not None and isinstance(config, SculptingConfig):
+        config = replace(config, initializer=initializer(start))
+    return Session(scene, config, max_time=max_time).run().mesh
 
 
-def say(line: str) -> None:
-    sys.stdout.write(line + "\n")
-    sys.stdout.flush()
+def initializer(name: str) -> InitializerConfig:
+    config = registry.default("initializer", name)
+    assert isinstance(config, InitializerConfig)  # noqa: S101
+    return config
 
 
 if __name__ == "__main__":

@@ -40,11 +40,11 @@ def main() -> None:
     empty = loading("pass")
     for name, statement in LOADED.items():
         if find_spec(name):
-            say(f"loading {name}: {loading(statement) - empty:.2f} s")
+            print(f"loading {name}: {loading(statement) - empty:.2f} s", flush=True)
     charts = {"ours": our_chart} | ({"matplotlib": matplotlib_chart} if find_spec("matplotlib") else {})
     for name, chart in charts.items():
         seconds, text = timed(chart)
-        say(f"a chart, {name}: {1e3 * seconds:.1f} ms, {len(text) / 1024:.0f} kB")
+        print(f"a chart, {name}: {1e3 * seconds:.1f} ms, {len(text) / 1024:.0f} kB", flush=True)
     mesh_files()
 
 
@@ -66,7 +66,7 @@ def mesh_files() -> None:
                 read = trimesh.load_mesh(path, process=False)
                 moved = np.abs(np.asarray(read.vertices) - vertices).max()
                 size = path.stat().st_size / 1e6
-                say(f"{kind}, {name}: {1e3 * seconds:.0f} ms, {size:.1f} MB, moved by {moved:.0e}")
+                print(f"{kind}, {name}: {1e3 * seconds:.0f} ms, {size:.1f} MB, moved by {moved:.0e}", flush=True)
 
 
 def our_chart() -> str:
@@ -116,11 +116,6 @@ def timed(act: Callable[[], Any]) -> tuple[float, Any]:
         result = act()
         seconds.append(time.process_time() - began)
     return statistics.median(seconds), result
-
-
-def say(line: str) -> None:
-    sys.stdout.write(line + "\n")
-    sys.stdout.flush()
 
 
 if __name__ == "__main__":

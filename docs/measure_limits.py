@@ -80,8 +80,11 @@ def main() -> None:
 
 
 def limited_views(request: argparse.Namespace, folder: Path) -> None:
-    say("| scene | seen from | start | field | training s | Chamfer 1e-2 | seen | unseen | hidden inside | pieces |")
-    say("|---|---|---|---|---|---|---|---|---|---|")
+    print(
+        "| scene | seen from | start | field | training s | Chamfer 1e-2 | seen | unseen | hidden inside | pieces |",
+        flush=True,
+    )
+    print("|---|---|---|---|---|---|---|---|---|---|", flush=True)
     for scene in request.scenes:
         for placement in request.seen_from:
             for start in request.starts:
@@ -90,15 +93,16 @@ def limited_views(request: argparse.Namespace, folder: Path) -> None:
                     options += ["--field", field, "--max-time", str(request.max_time)]
                     run = train(scene, options, folder / f"{scene}-{placement}-{start}-{field}".replace(":", "-"))
                     it = measure(run)
-                    say(
+                    print(
                         f"| {scene} | {placement} | {start} | {field} | {it.seconds:.0f} | {100 * it.chamfer:.3f} | "
-                        f"{100 * it.seen:.3f} | {100 * it.unseen:.3f} | {100 * it.hidden:.2f} % | {it.pieces} |"
+                        f"{100 * it.seen:.3f} | {100 * it.unseen:.3f} | {100 * it.hidden:.2f} % | {it.pieces} |",
+                        flush=True,
                     )
 
 
 def resolutions(request: argparse.Namespace, folder: Path) -> None:
-    say("| scene | cells | faces | training s | Chamfer 1e-2 | PSNR, held-out views |")
-    say("|---|---|---|---|---|---|")
+    print("| scene | cells | faces | training s | Chamfer 1e-2 | PSNR, held-out views |", flush=True)
+    print("|---|---|---|---|---|---|", flush=True)
     errors: list[Series] = []
     for scene in request.scenes:
         points = []
@@ -107,9 +111,10 @@ def resolutions(request: argparse.Namespace, folder: Path) -> None:
             options = ["--trainer.base-cells", str(BASE_CELLS), "--trainer.stages.0.level", str(level)]
             run = train(scene, options, folder / f"{Path(scene).name}-{cells}".replace(":", "-"))
             final = told_by(run)["final"]
-            say(
+            print(
                 f"| {Path(scene).name} | {cells} | {final['faces']} | {final['t_train_s']:.0f} | "
-                f"{100 * final['chamfer_ps']:.3f} | {final['psnr']:.2f} dB |"
+                f"{100 * final['chamfer_ps']:.3f} | {final['psnr']:.2f} dB |",
+                flush=True,
             )
             points.append((float(cells), 100 * final["chamfer_ps"]))
         errors.append(Series(name=Path(scene).name, points=points))
@@ -148,11 +153,6 @@ def measure(run: Path) -> Parts:
         pieces=told["certificate"]["components"],
         seconds=told["final"]["t_train_s"],
     )
-
-
-def say(line: str) -> None:
-    sys.stdout.write(line + "\n")
-    sys.stdout.flush()
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ from sculpt_framework.errors import DataError
 
 
 def main() -> None:
-    say(f"{'scene':20} {'images':>6} {'IoU':>6} {'worst':>6} {'seconds':>7}")
+    print(f"{'scene':20} {'images':>6} {'IoU':>6} {'worst':>6} {'seconds':>7}", flush=True)
     for folder in sys.argv[1:]:
         usual = cast(DatasetConfig, registry.default("dataset", "auto"))
         given = {view.name: view.alpha for view in usual.build(folder).load().train}
@@ -27,7 +27,7 @@ def main() -> None:
         try:
             found = replace(usual, **{"masks": "ignored"}).build(folder).load()
         except DataError as error:
-            say(f"{folder}: {error}")
+            print(f"{folder}: {error}", flush=True)
             continue
         seconds = time.monotonic() - started
         alike = []
@@ -37,13 +37,9 @@ def main() -> None:
                 both, either = (truth > 0.5) & (mask > 0.5), (truth > 0.5) | (mask > 0.5)
                 alike.append(float(both.sum()) / max(1, int(either.sum())))
         name = folder.rstrip("/").rsplit("/", 1)[-1]
-        say(f"{name:20} {len(alike):6} {np.mean(alike):6.3f} {min(alike):6.3f} {seconds:7.1f}")
+        print(f"{name:20} {len(alike):6} {np.mean(alike):6.3f} {min(alike):6.3f} {seconds:7.1f}", flush=True)
         for note in found.notes:
-            say(f"    {note}")
-
-
-def say(line: str) -> None:
-    sys.stdout.write(line + "\n")
+            print(f"    {note}", flush=True)
 
 
 if __name__ == "__main__":

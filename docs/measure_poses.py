@@ -48,16 +48,17 @@ def main() -> None:
     if len(words) < 2 or len(words) % 2:
         sys.exit("usage: python docs/measure_poses.py KNOWN POSED [KNOWN POSED ...]")
     titles = ("scene", "posed", "degrees", "worst", "position %", "worst", "px", "seconds")
-    say("{:20} {:>8} {:>8} {:>8} {:>11} {:>8} {:>6} {:>8}".format(*titles))
+    print("{:20} {:>8} {:>8} {:>8} {:>11} {:>8} {:>6} {:>8}".format(*titles), flush=True)
     for known_folder, posed_folder in zip(words[::2], words[1::2], strict=True):
         said = read_outcome(Path(posed_folder))
         known, posed = read_poses(known_folder), read_poses(posed_folder)
         errors = pose_errors(known, posed)
         degrees, shares = errors.degrees, 100 * errors.shares
-        say(
+        print(
             f"{Path(known_folder).resolve().name:20} {len(degrees):>3} / {len(known):<2} {np.median(degrees):8.3f} "
             f"{degrees.max():8.3f} {np.median(shares):11.3f} {shares.max():8.3f} {said.error_px:6.2f} "
-            f"{said.seconds:8.0f}"
+            f"{said.seconds:8.0f}",
+            flush=True,
         )
 
 
@@ -97,10 +98,6 @@ def similarity(source: Float64[np.ndarray, "n 3"], target: Float64[np.ndarray, "
     rotation = left @ np.diag(turned) @ right
     scale = float((values * turned).sum() / ((source - middle) ** 2).sum())
     return Similarity(scale=scale, rotation=rotation, shift=goal - scale * rotation @ middle)
-
-
-def say(line: str) -> None:
-    sys.stdout.write(line + "\n")
 
 
 if __name__ == "__main__":

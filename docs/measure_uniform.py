@@ -116,8 +116,8 @@ def main() -> None:
     wanted = [(kind, extra) for kind in request.grids]
     for cells in request.coarser:
         wanted += [(kind, [*extra, "--trainer.base-cells", str(cells)]) for kind in ("band", "cube")]
-    say("| scene | grid | cells | corners, millions | faces | step, ms | of the cube's | Chamfer 1e-2 |")
-    say("|---|---|---|---|---|---|---|---|")
+    print("| scene | grid | cells | corners, millions | faces | step, ms | of the cube's | Chamfer 1e-2 |", flush=True)
+    print("|---|---|---|---|---|---|---|---|", flush=True)
     for data in request.data:
         cube = None
         for kind, options in wanted:
@@ -126,7 +126,7 @@ def main() -> None:
             share = "-" if cube is None else f"{row.milliseconds / cube:.2f}"
             error = "-" if row.chamfer is None else f"{100 * row.chamfer:.3f}"
             size, step = f"{row.cells} | {row.corners / 1e6:.2f}", f"{row.milliseconds:.0f}"
-            say(f"| {data} | {kind} | {size} | {row.faces} | {step} | {share} | {error} |")
+            print(f"| {data} | {kind} | {size} | {row.faces} | {step} | {share} | {error} |", flush=True)
 
 
 def measure(data: str, kind: str, options: Sequence[str]) -> Measured:
@@ -160,11 +160,6 @@ def measure(data: str, kind: str, options: Sequence[str]) -> Measured:
 
 def _all_places(shape: tuple[int, int, int]) -> Int64[Tensor, "n 3"]:
     return torch.cartesian_prod(*(torch.arange(n) for n in shape))
-
-
-def say(line: str) -> None:
-    sys.stdout.write(line + "\n")
-    sys.stdout.flush()
 
 
 if __name__ == "__main__":

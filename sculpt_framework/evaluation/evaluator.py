@@ -20,7 +20,8 @@ from sculpt_framework.memory import peak_megabytes
 from sculpt_framework.reconstructor import Reconstructor
 from sculpt_framework.types import Camera, Rendering, Scene, View
 
-_CURVE_SAMPLES, _RESULT_SAMPLES = 20_000, 200_000
+CURVE_SAMPLES, RESULT_SAMPLES = 20_000, 200_000
+"""Points on each of two surfaces that a row of the curve, and the result, is measured with."""
 _VIEWS_AT_MOST, _PIXELS_AT_MOST = 4, 4_000_000
 """More held-out views, or more pixels in them, add evaluation time, not knowledge."""
 _JUDGES = 2
@@ -38,12 +39,12 @@ class Evaluator:
         """``held_out`` are numbers of train views; only some of them are looked at."""
         self.views = some_views([scene.train[number] for number in held_out], _VIEWS_AT_MOST, _PIXELS_AT_MOST)
         reference = config.reference or scene.reference_mesh
-        self.reference = None if reference is None else MeasuredMesh(load_mesh(reference), _CURVE_SAMPLES)
+        self.reference = None if reference is None else MeasuredMesh(load_mesh(reference), CURVE_SAMPLES)
         self._scene = scene
 
     def measure(self, method: Reconstructor) -> dict[str, Any]:
         """A row of the curve. Raises FloatingPointError where a rendering is not finite."""
-        row = self._common(method) | mesh_measures(mesh := method.mesh(), self.reference, _CURVE_SAMPLES)
+        row = self._common(method) | mesh_measures(mesh := method.mesh(), self.reference, CURVE_SAMPLES)
         return row if self.reference is not None else {**row, **self._photographs.measure(mesh).values()}
 
     def measure_start(self, make: Callable[[], tuple[Mesh, Mapping[str, Any]] | None]) -> dict[str, Any] | None:
@@ -57,13 +58,13 @@ class Evaluator:
         mesh, sizes = made
         blank = dict.fromkeys(("psnr", "psnr_fitted", "ssim", "iou"))
         row = {**_NO_SIZES, **sizes, "rss_mb": peak_megabytes(), **blank}
-        return row | mesh_measures(mesh, self.reference, _CURVE_SAMPLES)
+        return row | mesh_measures(mesh, self.reference, CURVE_SAMPLES)
 
     def measure_result(self, method: Reconstructor) -> dict[str, Any]:
         """The same of what the run leaves, with all that is measured of a result and as many samples as it deserves."""
         row, mesh = self._common(method), method.mesh()
         if self.reference is not None:
-            return row | result_measures(mesh, self.reference.with_samples(_RESULT_SAMPLES))
+            return row | result_measures(mesh, self.reference.with_samples(RESULT_SAMPLES))
         photographs = PosedImages(
             self._scene.train, self._center, pairs_at_most=_RESULT_PAIRS, pixels_at_most=_RESULT_PIXELS
         )

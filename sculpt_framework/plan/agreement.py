@@ -100,6 +100,13 @@ def light(config: SculptingConfig, evidence: Evidence) -> Ruling:
             saves="the comparison of photographs with each other",
             spared={"comparing terms": 1.0},
         )
+    if name_of(config.initializer) == VOLUME and evidence.apart > FAR_APART:
+        return Ruling(
+            config=bent_least(config),
+            value="of surfaces that colours and views allow, the least bent",
+            evidence=f"the view nearest to a view is {evidence.apart:.0f} degrees away",
+            measured={"apart": evidence.apart},
+        )
     if evidence.gloss is None:
         why = "how colours change with the view cannot be told"
         return Ruling(config=config, value="as the method has it", evidence=why)
@@ -121,7 +128,7 @@ def light(config: SculptingConfig, evidence: Evidence) -> Ruling:
 
 
 def by_agreement(config: SculptingConfig) -> SculptingConfig:
-    """Colours follow the surface instead of teaching it, and what says nothing is smoothed."""
+    """Colours follow the surface instead of teaching it."""
     terms: list[LossConfig] = []
     for each in config.losses:
         if name_of(each) == PHOTOMETRIC:
@@ -130,10 +137,6 @@ def by_agreement(config: SculptingConfig) -> SculptingConfig:
             terms.append(replace(each, **{"views": max(AGREEING_VIEWS, option_of(each, "views"))}))
         else:
             terms.append(each)
-    if BENDING not in map(name_of, terms):
-        term = registry.default("losses", BENDING)
-        assert isinstance(term, LossConfig)  # noqa: S101
-        terms.append(term)
     stages = tuple(
         replace(
             stage,
@@ -143,8 +146,17 @@ def by_agreement(config: SculptingConfig) -> SculptingConfig:
         for stage in config.trainer.stages
     )
     steps = min(config.trainer.warm_up_steps, FIRST_STEPS)
-    decided = replace(config, losses=tuple(terms))
+    decided = bent_least(replace(config, losses=tuple(terms)))
     return with_options(decided, "trainer", stages=stages, warm_up_steps=steps)
+
+
+def bent_least(config: SculptingConfig) -> SculptingConfig:
+    """What says nothing is smoothed."""
+    if BENDING in map(name_of, config.losses):
+        return config
+    term = registry.default("losses", BENDING)
+    assert isinstance(term, LossConfig)  # noqa: S101
+    return replace(config, losses=(*config.losses, term))
 
 
 def _speaking(evidence: Evidence) -> str:

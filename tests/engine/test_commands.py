@@ -67,7 +67,7 @@ def test_a_finished_run_is_measured_and_exported(
     trained: tuple[Path, Finished], command_environment: dict[str, str], tmp_path: Path
 ):
     folder, _ = trained
-    done = command(command_environment, "evaluate", folder, "--json")
+    done = command(command_environment, "evaluate", folder, "--json", "--samples", "5000")
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)
     done = command(command_environment, "export", folder, "--format", "obj", "--out", tmp_path / "mesh.obj")

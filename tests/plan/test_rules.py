@@ -61,6 +61,8 @@ def test_views_far_apart_are_explained_by_volume_rendering() -> None:
     assert option_of(config.initializer, "max_views") == option_of(method().initializer, "max_views")
     assert "the view nearest to a view is 26 degrees away" in changed["stereo"].evidence
     assert changed["stereo"].measured["apart"] == 1.01 * FAR_APART
+    assert weights(config) == weights(method()) | {"bending": 0.06}
+    assert changed["light"].measured == {"apart": 1.01 * FAR_APART}
     assert name_of(decided(replace(USUAL, apart=0.99 * FAR_APART))[0].initializer) == "photo-hull"
     assert name_of(decided(replace(USUAL, apart=90.0, speaking=0.01))[0].initializer) == "visual-hull"
     assert name_of(decided(replace(USUAL, apart=90.0, masked=0, gloss=None))[0].initializer) == "sphere"

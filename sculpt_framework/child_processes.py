@@ -22,7 +22,7 @@ os.execvp(sys.argv[2], sys.argv[2:])
 """
 
 
-def leashed(command: Sequence[str]) -> tuple[str, ...]:
+def ending_with_parent(command: Sequence[str]) -> tuple[str, ...]:
     """The command as one that this thread's death ends, to be started from it."""
     if sys.platform != "linux":
         return tuple(command)

@@ -10,7 +10,7 @@ from pathlib import Path
 from types import FrameType
 
 from sculpt_framework.child_processes import die_with_parent
-from sculpt_framework.experiments.engine import start_process
+from sculpt_framework.experiments.launching import start_process
 
 GRACE_SECONDS = 25.0
 """How long an interrupted run may take to save: Slurm kills 30 s after it has asked."""

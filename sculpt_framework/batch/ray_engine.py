@@ -7,7 +7,7 @@ from typing import Any
 
 from sculpt_framework.batch.carrier import carry
 from sculpt_framework.errors import ConfigError, DeviceError
-from sculpt_framework.experiments.engine import KILLED, Engine, Job, Order
+from sculpt_framework.experiments.launching import KILLED, Engine, Job, Order
 
 _STORE_BYTES = 80 << 20
 """Of shared memory for a cluster of our own: tasks return a number each, Ray would take a third of the machine."""

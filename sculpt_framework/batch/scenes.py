@@ -5,7 +5,7 @@ from pathlib import Path
 
 from sculpt_framework.command_line.request import parse
 from sculpt_framework.errors import ConfigError
-from sculpt_framework.experiments.plan import Cell, Plan, PlannedScene, folder_name, planned_scenes
+from sculpt_framework.experiments.matrix import Cell, Matrix, MatrixScene, folder_name, matrix_scenes
 
 REFUSED_OPTIONS = ("--data", "--output", "--resume", "--viewer", "--refine-box", "--config")
 """What a batch sets itself, run by run, or what makes no sense for many runs."""
@@ -13,7 +13,7 @@ _MARKS = ("transforms*.json", "cameras*.npz", "sparse", "render/transforms.json"
 """What lies in a folder that is one scene, in the layouts of docs/guide/data.md."""
 
 
-def find_scenes(given: str) -> tuple[PlannedScene, ...]:
+def find_scenes(given: str) -> tuple[MatrixScene, ...]:
     """The scenes that SCENE_DIR_OR_LIST stands for, each with a short name of its own.
 
     A folder stands for the folders in it, but for hidden ones: whether a scene can be read is for its run to find
@@ -28,7 +28,7 @@ def find_scenes(given: str) -> tuple[PlannedScene, ...]:
             raise ConfigError(f"{given} is one scene; give the folder it is in, or use sculpt-train --data {given}.")
         if not found:
             raise ConfigError(f"{given} has no folders in it; expected one folder per scene.")
-        return planned_scenes(found)
+        return matrix_scenes(found)
     if not path.is_file():
         raise ConfigError(f"{given}: no such folder or file; expected a folder of scenes, or a list with one per line.")
     try:
@@ -38,7 +38,7 @@ def find_scenes(given: str) -> tuple[PlannedScene, ...]:
     words = [line for line in lines if line and not line.startswith("#")]
     if not words:
         raise ConfigError(f"{given} names no scenes; expected one folder or demo:NAME per line.")
-    return planned_scenes([word if _is_demo(word) else str(path.parent / Path(word).expanduser()) for word in words])
+    return matrix_scenes([word if _is_demo(word) else str(path.parent / Path(word).expanduser()) for word in words])
 
 
 def check_options(extra: Sequence[str]) -> None:
@@ -49,7 +49,7 @@ def check_options(extra: Sequence[str]) -> None:
             raise ConfigError(f"{option} cannot be given to all runs of a batch; leave it out.")
 
 
-def batch_plan(scenes: Sequence[PlannedScene], method: str, extra: Sequence[str]) -> Plan:
+def batch_matrix(scenes: Sequence[MatrixScene], method: str, extra: Sequence[str]) -> Matrix:
     """One run per scene, all with the options of ``extra``.
 
     Raises ConfigError where a command line would not be valid; that is found without torch.
@@ -66,7 +66,7 @@ def batch_plan(scenes: Sequence[PlannedScene], method: str, extra: Sequence[str]
         )
         for scene in scenes
     )
-    return Plan(title=f"{config.method} on {len(cells)} scenes", cells=cells, warm_ups={})
+    return Matrix(title=f"{config.method} on {len(cells)} scenes", cells=cells, warm_ups={})
 
 
 def _is_demo(word: str) -> bool:

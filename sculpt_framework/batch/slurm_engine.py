@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from sculpt_framework.batch.carrier import carry
 from sculpt_framework.errors import ConfigError
-from sculpt_framework.experiments.engine import KILLED, Engine, Job, Order
+from sculpt_framework.experiments.launching import KILLED, Engine, Job, Order
 
 Executor = Literal["slurm", "local"]
 OUR_PARAMETERS = ("name", "cpus_per_task", "gpus_per_node", "timeout_min")

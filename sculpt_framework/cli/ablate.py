@@ -73,11 +73,11 @@ def ablate(words: Sequence[str]) -> None:
     from sculpt_framework.experiments.ablation import EVIDENCE, ablation
     from sculpt_framework.experiments.ablation_tables import ablation_tables, notes
     from sculpt_framework.experiments.carry_out import carry_out
-    from sculpt_framework.experiments.plan import Budget, check_extra, cross, planned_scenes
+    from sculpt_framework.experiments.matrix import Budget, check_extra, cross, matrix_scenes
     from sculpt_framework.experiments.results import results_csv
 
     check_extra(extra)
-    scenes = planned_scenes(request.scenes)
+    scenes = matrix_scenes(request.scenes)
     if request.plan:
         _check_plan(request, amounts, extra, words)
         return
@@ -87,9 +87,9 @@ def ablate(words: Sequence[str]) -> None:
     made = ablation(request.method, scenes[0], extra, factors=request.factors, full=request.full)
     budgets = [Budget(kind=kind, amount=amount) for kind, amount in amounts.items()]
     title = f"Ablation of {request.method}"
-    plan = cross(title, made.settings, scenes, budgets, request.seeds, extra)
+    matrix = cross(title, made.settings, scenes, budgets, request.seeds, extra)
     carry_out(
-        plan,
+        matrix,
         request.out,
         lambda results: (
             ablation_tables(results, made, budgets),
@@ -107,13 +107,13 @@ def _check_plan(
     request: AblateRequest, amounts: Mapping[str, float], extra: Sequence[str], words: Sequence[str]
 ) -> None:
     from sculpt_framework.experiments.carry_out import carry_out
-    from sculpt_framework.experiments.plan import Budget, cross, planned_scenes
+    from sculpt_framework.experiments.matrix import Budget, cross, matrix_scenes
     from sculpt_framework.experiments.plan_check import LEVELS, plan_notes, plan_settings, plan_table
     from sculpt_framework.experiments.results import results_csv
 
     budgets = [Budget(kind=kind, amount=amount) for kind, amount in amounts.items()] if request.budget else [None]
     title = f"The plan of {request.method}"
-    settings, scenes = plan_settings(request.method), planned_scenes(request.scenes)
+    settings, scenes = plan_settings(request.method), matrix_scenes(request.scenes)
     carry_out(
         cross(title, settings, scenes, budgets, request.seeds, extra),
         request.out,

@@ -15,7 +15,7 @@ from sculpt_framework.command_line.options import Flag
 from sculpt_framework.errors import ConfigError
 
 if TYPE_CHECKING:
-    from sculpt_framework.experiments.engine import Engine
+    from sculpt_framework.experiments.launching import Engine
 
 PROGRAM = "sculpt-batch"
 SLURM_WORKERS = 64
@@ -72,18 +72,18 @@ def batch(words: Sequence[str]) -> None:
     _check(request)
 
     from sculpt_framework.batch.outcome import batch_tables, require_all, write_report
-    from sculpt_framework.batch.scenes import batch_plan, check_options, find_scenes
+    from sculpt_framework.batch.scenes import batch_matrix, check_options, find_scenes
     from sculpt_framework.experiments.carry_out import carry_out
-    from sculpt_framework.experiments.plan import folder_name
+    from sculpt_framework.experiments.matrix import folder_name
     from sculpt_framework.experiments.runner import TRAIN
 
     check_options(extra)
     scenes = find_scenes(request.scenes)
-    plan = batch_plan(scenes, request.method, extra)
+    matrix = batch_matrix(scenes, request.method, extra)
     out = (request.out or Path("outputs") / f"batch-{folder_name(Path(request.scenes).stem)}").absolute()
     with _engine(request, out) as (engine, workers):
         results = carry_out(
-            plan,
+            matrix,
             out,
             batch_tables,
             asked=(PROGRAM, *words),
@@ -94,7 +94,7 @@ def batch(words: Sequence[str]) -> None:
             command=TRAIN if request.gpus_per_run < 2 else _many_processes(request.gpus_per_run),
             engine=engine,
         )
-    page = write_report(results, out, plan.title)
+    page = write_report(results, out, matrix.title)
     if page is not None:
         sys.stdout.write(f"report: {page}\n")
     if not request.show:
@@ -133,7 +133,7 @@ def _make_engine(request: BatchRequest, out: Path) -> "tuple[Engine, int]":
             parameters=dict(_parameter(word) for word in request.slurm),
         )
         return slurm, request.workers or SLURM_WORKERS
-    from sculpt_framework.experiments.engine import LocalEngine
+    from sculpt_framework.experiments.launching import LocalEngine
 
     workers = request.workers or 1
     return LocalEngine(workers, gpus_per_run=request.gpus_per_run, cpus_per_run=request.cpus_per_run), workers

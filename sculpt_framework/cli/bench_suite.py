@@ -61,7 +61,7 @@ def suite(words: Sequence[str]) -> None:
     _check(request)
 
     from sculpt_framework.experiments.carry_out import carry_out
-    from sculpt_framework.experiments.plan import Budget, Setting, check_extra, config_of, cross
+    from sculpt_framework.experiments.matrix import Budget, Setting, check_extra, config_of, cross
     from sculpt_framework.experiments.suites import find_suite
 
     check_extra(extra)
@@ -75,11 +75,11 @@ def suite(words: Sequence[str]) -> None:
     elif request.steps is not None:
         budget = Budget(kind="steps", amount=float(request.steps))
     title = f"Suite {request.name}"
-    plan = cross(title, settings, found.scenes, [budget], request.seeds, extra)
+    matrix = cross(title, settings, found.scenes, [budget], request.seeds, extra)
     folder = request.out or Path("outputs") / f"suite-{request.name}"
     carried_out = partial(
         carry_out,
-        plan,
+        matrix,
         folder,
         asked=(*PROGRAM.split(), *words),
         jobs=request.jobs,
@@ -93,7 +93,7 @@ def suite(words: Sequence[str]) -> None:
         check_external(request.against, found)
         carried_out(
             lambda results: capture_tables(results, found, request.against, folder),
-            measure=partial(measure_all, plan, found, request.against, folder),
+            measure=partial(measure_all, matrix, found, request.against, folder),
             page=lambda results: capture_page(results, found, request.against, folder),
         )
     else:

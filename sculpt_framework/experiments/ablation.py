@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from sculpt_framework import registry
-from sculpt_framework.experiments.plan import PlannedScene, Setting, config_of
+from sculpt_framework.experiments.matrix import MatrixScene, Setting, config_of
 from sculpt_framework.plan.agreement import (
     AGREEING_VIEWS,
     CONSISTENCY,
@@ -58,7 +58,7 @@ class Ablation:
     """Levels that are left out, each with the level, or the setting, that it is equal to."""
 
 
-def ablation(method: str, scene: PlannedScene, extra: Sequence[str], *, factors: Sequence[str], full: bool) -> Ablation:
+def ablation(method: str, scene: MatrixScene, extra: Sequence[str], *, factors: Sequence[str], full: bool) -> Ablation:
     """Settings that differ from the method in one factor, or, with ``full``, in every combination of factors.
 
     A level whose words stand for the same config as one before it is left out. Raises ConfigError where words are

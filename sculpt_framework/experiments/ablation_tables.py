@@ -7,8 +7,8 @@ from sculpt_framework.comparison.runs import RunRecord
 from sculpt_framework.comparison.statistics import Cell as Summary
 from sculpt_framework.comparison.statistics import median, summarize
 from sculpt_framework.experiments.ablation import DEFAULT, DISTRIBUTION_OFF, OPACITY_OFF, SCALE_OFF, Ablation
+from sculpt_framework.experiments.matrix import Budget
 from sculpt_framework.experiments.paper import ABLATION, ABLATION_PLACE, ABLATION_REMARKS
-from sculpt_framework.experiments.plan import Budget
 from sculpt_framework.experiments.results import CellResult, median_final, records
 from sculpt_framework.experiments.tables import UNKNOWN, Table, number
 

@@ -1,4 +1,4 @@
-"""What people see while a plan is run: a bar with the time that is left in a terminal, a line per run elsewhere."""
+"""What people see while a matrix is run: a bar with the time that is left in a terminal, a line per run elsewhere."""
 
 import statistics
 from collections.abc import Callable, Mapping, Sequence
@@ -7,12 +7,12 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from sculpt_framework.experiments.ledger import CellState
-from sculpt_framework.experiments.plan import Cell
+from sculpt_framework.experiments.matrix import Cell
 from sculpt_framework.experiments.runner import Board
 
 
 class ConsoleBoard(Board):
-    """Tells of a plan's runs on ``console``; ``describe`` gives the result of one that finished in a few words."""
+    """Tells of a matrix's runs on ``console``; ``describe`` gives the result of one that finished in a few words."""
 
     def __init__(self, console: Console, describe: Callable[[Cell], str], jobs: int):
         self._console = console

@@ -18,7 +18,7 @@ from sculpt_framework.evaluation.consistency import CURVE_PAIRS, CURVE_PIXELS, E
 from sculpt_framework.evaluation.geometry import MeasuredMesh, chamfer
 from sculpt_framework.evaluation.mesh import Mesh, load_mesh
 from sculpt_framework.evaluation.visibility import Observed, seen_by, visible_distances
-from sculpt_framework.experiments.plan import Cell, Plan
+from sculpt_framework.experiments.matrix import Cell, Matrix
 from sculpt_framework.experiments.runner import ended_as, run_folder
 from sculpt_framework.experiments.suites import Suite
 from sculpt_framework.export.atomic import write_atomically
@@ -110,12 +110,14 @@ def check_external(words: Sequence[str], suite: Suite) -> None:
             raise ConfigError(f"--against {word}: no capture has a file of that name in its folder.")
 
 
-def measure_all(plan: Plan, suite: Suite, against: Sequence[str], folder: Path, told: Callable[[str], None]) -> None:
+def measure_all(
+    matrix: Matrix, suite: Suite, against: Sequence[str], folder: Path, told: Callable[[str], None]
+) -> None:
     """Measure what has not been measured yet, and keep the figures in ``folder``/measures.
 
     A capture or a mesh that cannot be read is told of, and is tried again the next time.
     """
-    waiting = [task for task in _tasks(plan, suite, against, folder) if _kept(task).error is not None]
+    waiting = [task for task in _tasks(matrix, suite, against, folder) if _kept(task).error is not None]
     for data, group in groupby(waiting, lambda task: task.data):
         tasks = list(group)
         told(f"measuring {len(tasks)} meshes of {Path(data).name}")
@@ -140,11 +142,11 @@ def measured_external(plan_folder: Path, data: str, name: str) -> Measured | Non
     return _kept(task) if task.mesh.is_file() else None
 
 
-def _tasks(plan: Plan, suite: Suite, against: Sequence[str], folder: Path) -> Iterator[Task]:
+def _tasks(matrix: Matrix, suite: Suite, against: Sequence[str], folder: Path) -> Iterator[Task]:
     """Capture by capture, so that each is made ready once."""
     data_of = {scene.label: scene.data for scene in suite.scenes}
     for data in dict.fromkeys(data_of.values()):
-        for cell in plan.cells:
+        for cell in matrix.cells:
             if data_of[cell.scene] == data and ended_as(run_folder(folder, cell)) == "finished":
                 yield _task_of(folder, cell, data)
         for name in against:

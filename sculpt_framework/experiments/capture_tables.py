@@ -15,7 +15,7 @@ from sculpt_framework.comparison.statistics import grouped, median
 from sculpt_framework.evaluation.drawing import to_svg
 from sculpt_framework.evaluation.web_page import bullets, grid_table, page
 from sculpt_framework.experiments.capture_measures import Measured, measured_external, measured_run
-from sculpt_framework.experiments.plan import Cell
+from sculpt_framework.experiments.matrix import Cell
 from sculpt_framework.experiments.results import CellResult, records
 from sculpt_framework.experiments.suites import Suite
 from sculpt_framework.experiments.tables import UNKNOWN, Table, number

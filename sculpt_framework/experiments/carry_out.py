@@ -1,4 +1,4 @@
-"""From a plan to tables on disk and on the screen: what the commands that run experiments share."""
+"""From a matrix to tables on disk and on the screen: what the commands that run experiments share."""
 
 import shlex
 from collections.abc import Callable, Sequence
@@ -8,10 +8,10 @@ from rich.console import Console
 
 from sculpt_framework.errors import ConfigError, TrainingFailed
 from sculpt_framework.experiments.board import ConsoleBoard
-from sculpt_framework.experiments.engine import Engine
-from sculpt_framework.experiments.plan import Cell, Plan
+from sculpt_framework.experiments.launching import Engine
+from sculpt_framework.experiments.matrix import Cell, Matrix
 from sculpt_framework.experiments.results import CellResult, read_results
-from sculpt_framework.experiments.runner import run_plan
+from sculpt_framework.experiments.runner import run_matrix
 from sculpt_framework.experiments.tables import Table
 from sculpt_framework.export.atomic import write_atomically
 
@@ -20,7 +20,7 @@ Tables = Callable[[Sequence[CellResult]], tuple[list[Table], list[str], str]]
 
 
 def carry_out(
-    plan: Plan,
+    matrix: Matrix,
     folder: Path,
     tables: Tables,
     *,
@@ -38,17 +38,17 @@ def carry_out(
 
     ``asked`` is the command line this is done for; tables.md repeats it. Tables are written after an interrupt, too, of
     what there is. ``measure`` comes between runs and tables, but not without ``run``, and tells what it does; ``page``
-    makes report.html. ``retries``, ``command`` and ``engine`` are as in ``run_plan``. Returns the results. Raises
+    makes report.html. ``retries``, ``command`` and ``engine`` are as in ``run_matrix``. Returns the results. Raises
     SculptError as the runner does, and TrainingFailed if every run failed.
     """
     if not run and not folder.is_dir():
         raise ConfigError(f"--show: there is no experiment in {folder}; leave --show out to run it.")
     console = Console()
-    board = ConsoleBoard(console, lambda cell: _result_line(plan, folder, cell), jobs)
+    board = ConsoleBoard(console, lambda cell: _result_line(matrix, folder, cell), jobs)
     try:
         if run:
-            run_plan(
-                plan,
+            run_matrix(
+                matrix,
                 folder,
                 board,
                 jobs=jobs,
@@ -61,11 +61,11 @@ def carry_out(
     except KeyboardInterrupt:
         board.close()
         console.print("interrupted; the same command goes on", markup=False, highlight=False)
-        _write(folder, plan, tables, page, asked)
+        _write(folder, matrix, tables, page, asked)
         raise
     finally:
         board.close()
-    results, made, notes = _write(folder, plan, tables, page, asked)
+    results, made, notes = _write(folder, matrix, tables, page, asked)
     for table in made:
         table.show(console)
     for note in notes:
@@ -80,14 +80,14 @@ def carry_out(
 
 def _write(
     folder: Path,
-    plan: Plan,
+    matrix: Matrix,
     tables: Tables,
     page: Callable[[Sequence[CellResult]], str] | None,
     asked: Sequence[str],
 ) -> tuple[tuple[CellResult, ...], list[Table], list[str]]:
-    results = read_results(plan, folder)
+    results = read_results(matrix, folder)
     made, notes, csv = tables(results)
-    parts = [f"# {plan.title}\n", f"    {shlex.join(asked)}\n", *(table.markdown() for table in made)]
+    parts = [f"# {matrix.title}\n", f"    {shlex.join(asked)}\n", *(table.markdown() for table in made)]
     parts.append("".join(f"- {note}\n" for note in notes))
     write_atomically(folder / "results.csv", csv.encode())
     write_atomically(folder / "tables.md", "\n".join(parts).encode())
@@ -96,9 +96,9 @@ def _write(
     return results, made, notes
 
 
-def _result_line(plan: Plan, folder: Path, cell: Cell) -> str:
+def _result_line(matrix: Matrix, folder: Path, cell: Cell) -> str:
     """The result of a run that has just finished."""
-    one = Plan(title=plan.title, cells=(cell,), warm_ups={})
+    one = Matrix(title=matrix.title, cells=(cell,), warm_ups={})
     (result,) = read_results(one, folder)
     if result.record is None:
         return "finished"

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from sculpt_framework.comparison.runs import RunRecord
 from sculpt_framework.comparison.statistics import median
-from sculpt_framework.experiments.plan import Setting
+from sculpt_framework.experiments.matrix import Setting
 from sculpt_framework.experiments.results import CellResult, records
 from sculpt_framework.experiments.tables import UNKNOWN, Table, number
 

@@ -1,4 +1,4 @@
-"""What came out of the runs of a plan, as records that sculpt_framework.comparison can count."""
+"""What came out of the runs of a matrix, as records that sculpt_framework.comparison can count."""
 
 import csv
 import io
@@ -11,7 +11,7 @@ from sculpt_framework.comparison.runs import Measure, RunRecord, load_run
 from sculpt_framework.comparison.statistics import median
 from sculpt_framework.errors import DataError
 from sculpt_framework.experiments.ledger import CellState, Ledger
-from sculpt_framework.experiments.plan import Cell, Plan
+from sculpt_framework.experiments.matrix import Cell, Matrix
 from sculpt_framework.experiments.runner import run_folder
 
 MEASURES: tuple[Measure, ...] = ("chamfer", "fscore", "normal_consistency", "psnr", "ssim", "iou", "under10_pct")
@@ -28,8 +28,8 @@ class CellResult:
     """None where there is no answer yet. A failure is an answer."""
 
 
-def read_results(plan: Plan, folder: Path) -> tuple[CellResult, ...]:
-    """The results of a plan's cells, in its order; of those that have not ended, too.
+def read_results(matrix: Matrix, folder: Path) -> tuple[CellResult, ...]:
+    """The results of a matrix's cells, in its order; of those that have not ended, too.
 
     Raises ConfigError where the folder holds something else.
     """
@@ -40,7 +40,7 @@ def read_results(plan: Plan, folder: Path) -> tuple[CellResult, ...]:
             state=ledger.get(cell.name),
             record=_record(cell, ledger.get(cell.name), run_folder(folder, cell)),
         )
-        for cell in plan.cells
+        for cell in matrix.cells
     )
 
 

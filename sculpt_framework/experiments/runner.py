@@ -1,4 +1,4 @@
-"""Carries out a plan: one process per run, as many at a time as asked, going on where an earlier call ended."""
+"""Carries out a matrix: one process per run, as many at a time as asked, going on where an earlier call ended."""
 
 import json
 import shutil
@@ -15,9 +15,9 @@ from pathlib import Path
 from types import FrameType
 
 from sculpt_framework.errors import OutputError
-from sculpt_framework.experiments.engine import Engine, Job, LocalEngine, Order
+from sculpt_framework.experiments.launching import Engine, Job, LocalEngine, Order
 from sculpt_framework.experiments.ledger import CellState, Ledger, only_one
-from sculpt_framework.experiments.plan import Cell, Plan, remember
+from sculpt_framework.experiments.matrix import Cell, Matrix, remember
 
 TRAIN = (sys.executable, "-c", "from sculpt_framework.cli.train import main; main()")
 """``sculpt-train`` of this installation, whatever is first on the path."""
@@ -66,8 +66,8 @@ def run_folder(folder: Path, cell: Cell) -> Path:
     return folder / RUNS / cell.name
 
 
-def run_plan(
-    plan: Plan,
+def run_matrix(
+    matrix: Matrix,
     folder: Path,
     board: Board,
     *,
@@ -88,27 +88,27 @@ def run_plan(
     not.
 
     On KeyboardInterrupt (or SIGTERM, SIGHUP) the running processes are stopped, the ledger is true, and the interrupt
-    goes on to the caller. Raises ConfigError where the folder belongs to another plan or process, OutputError where it
-    cannot be written.
+    goes on to the caller. Raises ConfigError where the folder belongs to another matrix or process, OutputError where
+    it cannot be written.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OutputError(f"cannot write to {folder}: {error.strerror}; give another --out.") from error
     with only_one(folder), _terminate_as_interrupt():
-        remember(plan, folder)
+        remember(matrix, folder)
         ledger = Ledger(folder)
-        settled = {cell.name: state for cell in plan.cells if (state := _settled(folder, cell, ledger, retry_failed))}
+        settled = {cell.name: state for cell in matrix.cells if (state := _settled(folder, cell, ledger, retry_failed))}
         for name, state in settled.items():
             if ledger.get(name) != state:
                 ledger.set(name, state)
-        waiting = deque(cell for cell in plan.cells if cell.name not in settled)
+        waiting = deque(cell for cell in matrix.cells if cell.name not in settled)
         board.begin(tuple(waiting), settled)
         command, engine = command or TRAIN, engine or LocalEngine(jobs)
         for scene in dict.fromkeys(cell.scene for cell in waiting):
-            _warm_up(plan, scene, folder, board, command, engine)
+            _warm_up(matrix, scene, folder, board, command, engine)
         _work_off(waiting, folder, ledger, board, jobs, retries, command, engine)
-        return {cell.name: ledger.get(cell.name) for cell in plan.cells}
+        return {cell.name: ledger.get(cell.name) for cell in matrix.cells}
 
 
 def ended_as(run_dir: Path) -> str | None:
@@ -190,9 +190,9 @@ def _start(cell: Cell, folder: Path, ledger: Ledger, command: Sequence[str], eng
     return Attempt(cell=cell, job=job, log=log, began=began, resumed=resumed)
 
 
-def _warm_up(plan: Plan, scene: str, folder: Path, board: Board, command: Sequence[str], engine: Engine) -> None:
+def _warm_up(matrix: Matrix, scene: str, folder: Path, board: Board, command: Sequence[str], engine: Engine) -> None:
     """Run the scene's warm-up and throw it away. Its failure is told and left to the runs to fail on."""
-    words = plan.warm_ups.get(scene)
+    words = matrix.warm_ups.get(scene)
     if words is None:
         return
     board.warming_up(scene)

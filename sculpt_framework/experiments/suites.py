@@ -8,8 +8,8 @@ from typing import Literal, cast
 
 from sculpt_framework.config import DatasetConfig
 from sculpt_framework.errors import ConfigError, DataError
+from sculpt_framework.experiments.matrix import MatrixScene, absolute_data, folder_name
 from sculpt_framework.experiments.paper import NERF_SYNTHETIC, OMNIOBJECT3D, PaperTable
-from sculpt_framework.experiments.plan import PlannedScene, absolute_data, folder_name
 
 SUITES = ("demo", "blender", "omniobject3d", "captures")
 Masks = Literal["with", "without", "both"]
@@ -25,7 +25,7 @@ class Suite:
     """Scenes to run on, and what to show the results beside."""
 
     name: str
-    scenes: tuple[PlannedScene, ...]
+    scenes: tuple[MatrixScene, ...]
     columns: tuple[str, ...]
     """What the columns of the table are called, one per scene."""
     missing: tuple[str, ...]
@@ -72,7 +72,7 @@ def _demo(objects: Sequence[str]) -> Suite:
     if unknown:
         raise ConfigError(f"--objects {unknown[0]}: no such demo scene; there are {', '.join(OBJECTS)}.")
     names = tuple(objects or OBJECTS)
-    scenes = tuple(PlannedScene(label=name, data=f"demo:{name}") for name in names)
+    scenes = tuple(MatrixScene(label=name, data=f"demo:{name}") for name in names)
     return Suite(name="demo", scenes=scenes, columns=names, missing=(), paper=None, unit=1e-2)
 
 
@@ -92,7 +92,7 @@ def _blender(folder: Path, objects: Sequence[str], references: Path | None) -> S
     scenes = []
     for name in found:
         words = () if references is None else ("--reference", str(_mesh(references, name)))
-        scenes.append(PlannedScene(label=name, data=absolute_data(str(there[name])), words=words))
+        scenes.append(MatrixScene(label=name, data=absolute_data(str(there[name])), words=words))
     return Suite(
         name="blender", scenes=tuple(scenes), columns=tuple(found), missing=missing, paper=NERF_SYNTHETIC, unit=1e-2
     )
@@ -119,7 +119,7 @@ def _omniobject3d(folder: Path, objects: Sequence[str]) -> Suite:
             missing.append(name)
     if not chosen:
         raise ConfigError(f"{folder} has none of the paper's categories; there are {_listed(there)}.")
-    scenes = tuple(PlannedScene(label=name, data=absolute_data(str(path))) for name, path in chosen.items())
+    scenes = tuple(MatrixScene(label=name, data=absolute_data(str(path))) for name, path in chosen.items())
     return Suite(
         name="omniobject3d",
         scenes=scenes,
@@ -146,10 +146,10 @@ def _captures(folder: Path, objects: Sequence[str], masks: Masks) -> Suite:
         label, data = folder_name(name), absolute_data(str(there[name]))
         masked = has_mask_files(there[name])
         if masks != "without" or not masked:
-            scenes.append(PlannedScene(label=label, data=data))
+            scenes.append(MatrixScene(label=label, data=data))
         if masks != "with" and masked:
             words = ("--dataset.masks", "ignored")
-            scenes.append(PlannedScene(label=f"{label}{WITHOUT_MASKS}", data=data, words=words))
+            scenes.append(MatrixScene(label=f"{label}{WITHOUT_MASKS}", data=data, words=words))
     labels = [scene.label for scene in scenes]
     if twice := sorted({label for label in labels if labels.count(label) > 1}):
         raise ConfigError(f"{folder}: two captures would be called {twice[0]}; rename one of the folders.")

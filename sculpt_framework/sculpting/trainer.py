@@ -29,7 +29,7 @@ from sculpt_framework.sculpting.gaussian_scene import GaussianScene, assemble
 from sculpt_framework.sculpting.own_parameters import OwnParameters
 from sculpt_framework.sculpting.term_gating import TermGating
 from sculpt_framework.sculpting.trust_region import TrustRegion
-from sculpt_framework.sculpting.view_gradients import ViewGradients, Walk, Weighted
+from sculpt_framework.sculpting.view_gradients import DeferredBackward, ViewGradients, Weighted
 from sculpt_framework.types import Box, Surface
 
 _CHUNK, _LEAST_WARM_UP = 10, 30
@@ -179,17 +179,17 @@ class BiLevelTrainer:
         joint = not self._config.gradient_isolation
         gaussians = assemble(binding, self.scene.harmonics(binding.means, degree=self._degree(0), learn=joint))
         seeing = self.objectives.silhouettes if stage.silhouette_only else self._awake()
-        walk, terms = self.views.see(gaussians, images, views, seeing, self.processes, self.own)
+        deferred, terms = self.views.render_and_backward(gaussians, images, views, seeing, self.processes, self.own)
         seen = tuple(terms)
         for objective in self.objectives.views if not stage.silhouette_only else ():
-            terms[objective.name] = self._compare(objective, settled.surface, images, walk)
+            terms[objective.name] = self._compare(objective, settled.surface, images, deferred)
         for objective in self.objectives.geometry:
-            terms[objective.name] = walk.add(objective.weight * objective.term(extraction))
+            terms[objective.name] = deferred.add(objective.weight * objective.term(extraction))
         # Without an inner loop there is no other place to constrain the Gaussians in.
         for constraint in self.objectives.constraints if joint and not stage.silhouette_only else ():
-            terms[constraint.name] = walk.add(constraint.weight * constraint.term(binding))
-        # One walk through extraction and field for all terms together: it costs as much as a render.
-        walk.back()
+            terms[constraint.name] = deferred.add(constraint.weight * constraint.term(binding))
+        # One pass back through extraction and field for all terms together: it costs as much as a render.
+        deferred.backward()
         self._check_terms(terms)
         self._check_gradients()
         if not stage.silhouette_only:
@@ -247,11 +247,13 @@ class BiLevelTrainer:
             self.scene.zero_grad()
             degree = self._degree(step)
             sh = self.scene.harmonics(bound.means, degree=degree, learn=True)
-            walk, terms = self.views.see(assemble(bound, sh), images, count, [inner], self.processes, self.own)
+            deferred, terms = self.views.render_and_backward(
+                assemble(bound, sh), images, count, [inner], self.processes, self.own
+            )
             awake = [each for each in self.objectives.constraints if learn_places and self.gating.due(each.name)]
             for constraint in awake:
-                terms[constraint.name] = walk.add(constraint.weight * constraint.term(bound))
-            walk.back()
+                terms[constraint.name] = deferred.add(constraint.weight * constraint.term(bound))
+            deferred.backward()
             self._check_terms(terms)
             for constraint in awake:
                 self.gating.saw(constraint.name, terms[constraint.name], terms[inner.name])
@@ -276,7 +278,11 @@ class BiLevelTrainer:
         return signed_distance(self.field, self.frozen, points, margin=2 * self.extractor.grid.cell)
 
     def _compare(
-        self, objective: Weighted[ViewsLoss], surface: Surface, images: Sequence[TrainingImage], walk: Walk
+        self,
+        objective: Weighted[ViewsLoss],
+        surface: Surface,
+        images: Sequence[TrainingImage],
+        deferred: DeferredBackward,
     ) -> float:
         """A term of surface and photographs; each process does its share of the views. Returns its value."""
         drawn = [self.views.next_view(len(images)) for _ in range(objective.term.views)]
@@ -291,8 +297,8 @@ class BiLevelTrainer:
         own = [parameter for group in objective.term.parameter_groups() for parameter in group.parameters]
         (value,) = self.processes.reduce([leaf, *own], {objective.name: value}).values()
         if leaf.grad is not None and surface.vertices.requires_grad:
-            walk.roots.append(surface.vertices)
-            walk.gradients.append(leaf.grad)
+            deferred.roots.append(surface.vertices)
+            deferred.gradients.append(leaf.grad)
         return value
 
     # -- parts of an outer step ----------------------------------------------------------------------------------

@@ -40,7 +40,7 @@ class ViewGradients:
         self._config = config
         self._generator = generator
 
-    def see(
+    def render_and_backward(
         self,
         gaussians: Gaussians,
         images: Sequence[TrainingImage],
@@ -48,7 +48,7 @@ class ViewGradients:
         objectives: Sequence[Weighted[ImageLoss]],
         processes: Processes,
         own: OwnParameters,
-    ) -> tuple["Walk", dict[str, float]]:
+    ) -> tuple["DeferredBackward", dict[str, float]]:
         """The mean gradient of the next views' image terms by the Gaussians, from where it goes on, and the terms.
 
         Each view's graph ends at the Gaussians and is freed before the next view is rendered. That is where processes
@@ -74,12 +74,12 @@ class ViewGradients:
                 (loss / len(drawn)).backward()
         pairs = [(value, leaf) for value, leaf in tensor_pairs(gaussians, leaves) if leaf.requires_grad]
         terms = processes.reduce([*(leaf for _, leaf in pairs), *own.parameters], terms)
-        walk = Walk()
+        deferred = DeferredBackward()
         for value, leaf in pairs:
             if leaf.grad is not None:
-                walk.roots.append(value)
-                walk.gradients.append(leaf.grad)
-        return walk, terms
+                deferred.roots.append(value)
+                deferred.gradients.append(leaf.grad)
+        return deferred, terms
 
     def next_view(self, count: int) -> int:
         """Every view once, in random order, before any comes again."""
@@ -98,8 +98,8 @@ class ViewGradients:
         return torch.ones(3).to(image.premultiplied)
 
 
-class Walk:
-    """Tensors that a walk back through a graph starts from, each with its gradient."""
+class DeferredBackward:
+    """Tensors that one pass back through a graph starts from, each with its gradient."""
 
     def __init__(self) -> None:
         self.roots: list[Tensor] = []
@@ -112,6 +112,6 @@ class Walk:
             self.gradients.append(torch.ones_like(term))
         return float(term.detach())
 
-    def back(self) -> None:
+    def backward(self) -> None:
         if self.roots:
             torch.autograd.backward(self.roots, self.gradients)

@@ -25,7 +25,7 @@ def main() -> None:
     resumed = "--resume" in words
     folder = Path(words[words.index("--resume" if resumed else "--output") + 1])
     folder.mkdir(parents=True, exist_ok=True)
-    root = next(above for above in folder.parents if (above / "plan.json").exists())
+    root = next(above for above in folder.parents if (above / "matrix.json").exists())
     with open(root / "started.txt", "a", encoding="utf-8") as started:
         started.write(" ".join(words) + "\n")
     name = folder.name

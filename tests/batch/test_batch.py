@@ -16,7 +16,7 @@ from conftest import FAKE_TRAIN, plain_environment, started, with_fake
 from sculpt_framework.batch.carrier import carry
 from sculpt_framework.cli.batch import batch, main
 from sculpt_framework.errors import ConfigError, DeviceError, SculptError, TrainingFailed
-from sculpt_framework.experiments.engine import KILLED, LocalEngine, Order, start_process
+from sculpt_framework.experiments.launching import KILLED, LocalEngine, Order, start_process
 
 MakeScenes = Callable[..., Path]
 TINY = "gaussian-sculpting-tiny"
@@ -168,7 +168,7 @@ def test_a_run_of_several_gpus_has_a_process_for_each(make_scenes: MakeScenes, m
         seen.append(tuple(command))
         return start_process((sys.executable, "-S", "-c", "import sys; sys.exit('error: not here')"), log, environment)
 
-    monkeypatch.setattr("sculpt_framework.experiments.engine.start_process", start)
+    monkeypatch.setattr("sculpt_framework.experiments.launching.start_process", start)
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "0,1")
     folder = make_scenes("mug")
     with pytest.raises(TrainingFailed):

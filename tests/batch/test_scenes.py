@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from sculpt_framework.batch.scenes import batch_plan, check_options, find_scenes
+from sculpt_framework.batch.scenes import batch_matrix, check_options, find_scenes
 from sculpt_framework.errors import ConfigError
 
 MakeScenes = Callable[..., Path]
@@ -54,16 +54,16 @@ def test_mistakes(make_scenes: MakeScenes, tmp_path: Path):
 
 def test_every_run_has_the_same_options(make_scenes: MakeScenes):
     folder = make_scenes("mug", "apple")
-    plan = batch_plan(find_scenes(str(folder)), "gaussian-sculpting-tiny", ("--seed", "3", "--max-time", "9"))
-    assert plan.title == "gaussian-sculpting-tiny on 2 scenes"
-    assert [cell.name for cell in plan.cells] == ["apple", "mug"]
-    assert plan.cells[1].words == (
+    matrix = batch_matrix(find_scenes(str(folder)), "gaussian-sculpting-tiny", ("--seed", "3", "--max-time", "9"))
+    assert matrix.title == "gaussian-sculpting-tiny on 2 scenes"
+    assert [cell.name for cell in matrix.cells] == ["apple", "mug"]
+    assert matrix.cells[1].words == (
         *("gaussian-sculpting-tiny", "--data", str(folder / "mug")),
         *("--seed", "3", "--max-time", "9"),
     )
-    assert {(cell.seed, cell.timed) for cell in plan.cells} == {(3, False)}
+    assert {(cell.seed, cell.timed) for cell in matrix.cells} == {(3, False)}
     with pytest.raises(ConfigError, match="no method"):
-        batch_plan(find_scenes(str(folder)), "nothing", ())
+        batch_matrix(find_scenes(str(folder)), "nothing", ())
 
 
 @pytest.mark.parametrize("word", ["--data", "--output=x", "--resume", "--viewer", "--refine_box"])

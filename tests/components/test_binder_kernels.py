@@ -12,10 +12,10 @@ from sculpt_framework.binders import Binding
 from sculpt_framework.geometry.faces import face_corners, face_normals
 from sculpt_framework.testing import tetrahedron
 from sculpt_framework.types import Surface
-from sculpt_plugins.binders.face_barycentric.compiled import relief_compiled
+from sculpt_plugins.binders.face_barycentric.compiled import neighbourhood_compiled
 from sculpt_plugins.binders.face_barycentric.config import FaceBarycentricConfig
 from sculpt_plugins.binders.face_barycentric.in_torch import bind_in_torch, normal_and_radii
-from sculpt_plugins.binders.face_barycentric.outline import relief_of
+from sculpt_plugins.binders.face_barycentric.outline import neighbourhood_of
 from tests.components.test_binder import triangle_surface
 
 OUTPUTS = ("means", "scales", "rotations", "opacities", "barycentrics", "tangent_covariance", "tangent_corners")
@@ -69,11 +69,11 @@ def _slivers() -> Surface:
 
 @pytest.mark.parametrize("reference", ["steiner", "edges"])
 @pytest.mark.parametrize("surface", [_plate(), _ball(), _slivers(), tetrahedron()])
-def test_the_relief_is_that_of_torch(surface: Surface, reference: Literal["steiner", "edges"]):
+def test_the_neighbourhood_is_that_of_torch(surface: Surface, reference: Literal["steiner", "edges"]):
     surface = replace(surface, vertices=surface.vertices.float())
     corners = face_corners(surface.vertices, surface.faces)
-    expected = relief_of(surface.faces, corners, *normal_and_radii(corners, reference))
-    found = relief_compiled(surface, reference)
+    expected = neighbourhood_of(surface.faces, corners, *normal_and_radii(corners, reference))
+    found = neighbourhood_compiled(surface, reference)
     for name in ("outward", "heights", "cosine", "sine", "reach"):
         torch.testing.assert_close(getattr(found, name), getattr(expected, name), atol=1e-5, rtol=1e-4, msg=name)
     assert found.area == pytest.approx(expected.area, rel=1e-5)
@@ -82,27 +82,27 @@ def test_the_relief_is_that_of_torch(surface: Surface, reference: Literal["stein
     assert alike.float().mean() > 0.95
 
 
-def test_the_relief_finds_sheets_and_open_edges():
+def test_the_neighbourhood_finds_sheets_and_open_edges():
     plate = _plate()
-    thickness = relief_compiled(plate, "steiner").thickness
+    thickness = neighbourhood_compiled(plate, "steiner").thickness
     broad = (face_normals(face_corners(plate.vertices, plate.faces))[:, 2].abs() > 0.9) & thickness.isfinite()
     assert broad.float().mean() > 0.3
     torch.testing.assert_close(thickness[broad], torch.full_like(thickness[broad], 0.02))
     fan = torch.tensor([[0, 1, 2], [1, 0, 3], [0, 1, 4]])
     vertices = torch.tensor([[0.0, 0, 0], [1, 0, 0], [0.5, 1, 0], [0.5, -1, 0], [0.5, 0, 1]])
-    relief = relief_compiled(Surface(vertices=vertices, faces=fan, face_keys=torch.arange(3)), "steiner")
-    torch.testing.assert_close(relief.cosine, torch.ones(3, 3))
-    assert (relief.sine == 0).all()
+    neighbourhood = neighbourhood_compiled(Surface(vertices=vertices, faces=fan, face_keys=torch.arange(3)), "steiner")
+    torch.testing.assert_close(neighbourhood.cosine, torch.ones(3, 3))
+    assert (neighbourhood.sine == 0).all()
 
 
 def test_a_vertex_that_is_no_number_shows_in_the_relief():
     ball = _ball()
     vertices = ball.vertices.clone()
     vertices[0, 1] = torch.nan
-    relief = relief_compiled(replace(ball, vertices=vertices), "steiner")
+    neighbourhood = neighbourhood_compiled(replace(ball, vertices=vertices), "steiner")
     touched = (ball.faces == 0).any(dim=1)
-    assert relief.heights[:, touched].isnan().all()
-    assert relief.sine[:, touched].isnan().all()
+    assert neighbourhood.heights[:, touched].isnan().all()
+    assert neighbourhood.sine[:, touched].isnan().all()
 
 
 def _rows(config: FaceBarycentricConfig, surface: Surface) -> dict[str, Tensor]:

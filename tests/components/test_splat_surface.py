@@ -26,7 +26,7 @@ from sculpt_methods.sculpting import gaussian_sculpting
 from sculpt_plugins.binders.face_barycentric.config import FaceBarycentricConfig
 from sculpt_plugins.binders.face_barycentric.limits import LOG_LAYERS_FROM, LOG_LAYERS_STEP
 from sculpt_plugins.binders.face_barycentric.outline import neighbours, rim_depths
-from sculpt_plugins.binders.face_barycentric.sheets import thicknesses
+from sculpt_plugins.binders.face_barycentric.thickness import thicknesses
 
 METHOD = gaussian_sculpting()
 MEAN_BAR, P95_BAR = 0.1, 0.3

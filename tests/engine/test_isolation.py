@@ -53,8 +53,10 @@ def image_gradients(parts: Parts, images: list[TrainingImage], surface: Surface)
     trainer = parts.trainer
     binding = trainer.scene.bind(surface, learn=False)
     gaussians = assemble(binding, trainer.scene.harmonics(binding.means, degree=0, learn=False))
-    walk, _ = trainer.views.see(gaussians, images, 2, trainer.objectives.images, trainer.processes, trainer.own)
-    walk.back()
+    deferred, _ = trainer.views.render_and_backward(
+        gaussians, images, 2, trainer.objectives.images, trainer.processes, trainer.own
+    )
+    deferred.backward()
     return [parameter.grad for parameter in shape_parameters(parts).values() if parameter.grad is not None]
 
 

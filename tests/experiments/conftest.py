@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from sculpt_framework.experiments.ledger import CellState
-from sculpt_framework.experiments.plan import Budget, Cell, Plan
+from sculpt_framework.experiments.matrix import Budget, Cell, Matrix
 from sculpt_framework.experiments.runner import Board
 
 HERE = Path(__file__).parent
@@ -43,10 +43,10 @@ def board() -> SilentBoard:
 
 
 @pytest.fixture
-def make_plan() -> Callable[..., Plan]:
-    """``make_plan(0, 10, timed=True)``: cells named ``s<seed>`` of these seeds for the fake command."""
+def make_matrix() -> Callable[..., Matrix]:
+    """``make_matrix(0, 10, timed=True)``: cells named ``s<seed>`` of these seeds for the fake command."""
 
-    def make(*seeds: int, timed: bool = False, warm: bool = False) -> Plan:
+    def make(*seeds: int, timed: bool = False, warm: bool = False) -> Matrix:
         budget = Budget(kind="seconds" if timed else "steps", amount=5.0)
         cells = tuple(
             Cell(
@@ -59,7 +59,7 @@ def make_plan() -> Callable[..., Plan]:
             )
             for seed in seeds
         )
-        return Plan(title="Test", cells=cells, warm_ups={"scene": ("method", "--data", "scene")} if warm else {})
+        return Matrix(title="Test", cells=cells, warm_ups={"scene": ("method", "--data", "scene")} if warm else {})
 
     return make
 

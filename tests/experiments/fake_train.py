@@ -31,7 +31,7 @@ def main() -> None:
     resumed = "--resume" in words
     folder = Path(words[words.index("--resume" if resumed else "--output") + 1])
     folder.mkdir(parents=True, exist_ok=True)
-    root = next(above for above in folder.parents if (above / "plan.json").exists())
+    root = next(above for above in folder.parents if (above / "matrix.json").exists())
     with open(root / "started.txt", "a", encoding="utf-8") as started:
         started.write(" ".join(words) + "\n")
     if resumed:

@@ -11,18 +11,18 @@ from sculpt_framework.command_line.request import parse
 from sculpt_framework.config import MethodConfig
 from sculpt_framework.errors import ConfigError
 from sculpt_framework.experiments.ablation import DEFAULT, EVIDENCE, FACTORS, Ablation, ablation
-from sculpt_framework.experiments.plan import (
+from sculpt_framework.experiments.matrix import (
     Budget,
-    PlannedScene,
+    MatrixScene,
     Setting,
     check_extra,
     cross,
-    planned_scenes,
+    matrix_scenes,
     without_options,
 )
 from sculpt_framework.registry import name_of
 
-SCENE = PlannedScene(label="dents", data="demo:dents")
+SCENE = MatrixScene(label="dents", data="demo:dents")
 
 
 @functools.cache
@@ -33,8 +33,8 @@ def made(*extra: str, method: str = "gaussian-sculpting", factors: tuple[str, ..
 def configs(ablated: Ablation, *extra: str, only: Collection[str] = ()) -> dict[str, MethodConfig]:
     """The config of settings (all of them), by name, as their command lines give it."""
     settings = [setting for setting in ablated.settings if not only or setting.name in only]
-    plan = cross("Test", settings, [SCENE], [None], [0], extra)
-    return {cell.setting: parse(cell.words) for cell in plan.cells}
+    matrix = cross("Test", settings, [SCENE], [None], [0], extra)
+    return {cell.setting: parse(cell.words) for cell in matrix.cells}
 
 
 def constraints(config: MethodConfig) -> set[str]:
@@ -155,25 +155,25 @@ def test_what_the_plan_sets_cannot_be_given(word: str):
 
 def test_a_plan_crosses_scenes_budgets_seeds_and_settings():
     settings = [Setting(name="one", method="gaussian-sculpting"), Setting(name="two", method="gaussian-sculpting-tiny")]
-    scenes = [SCENE, PlannedScene(label="jar", data="/jar", words=("--reference", "/jar.ply"))]
+    scenes = [SCENE, MatrixScene(label="jar", data="/jar", words=("--reference", "/jar.ply"))]
     budgets = [Budget(kind="seconds", amount=40.0), Budget(kind="steps", amount=100.0)]
-    plan = cross("Test", settings, scenes, budgets, [0, 7], ["--threads", "1"])
-    assert len(plan.cells) == len({cell.name for cell in plan.cells}) == 16
-    first, second = plan.cells[:2]
+    matrix = cross("Test", settings, scenes, budgets, [0, 7], ["--threads", "1"])
+    assert len(matrix.cells) == len({cell.name for cell in matrix.cells}) == 16
+    first, second = matrix.cells[:2]
     assert first.name == "dents/40s/one/seed-0"
     assert first.words == (
         *("gaussian-sculpting", "--data", "demo:dents", "--threads", "1", "--max-time", "40", "--seed", "0"),
     )
     assert (second.setting, second.seed) == ("two", 0), "what is compared is run side by side"
-    assert [cell.timed for cell in plan.cells[:8]] == [True] * 4 + [False] * 4
-    assert plan.cells[-1].words == (
+    assert [cell.timed for cell in matrix.cells[:8]] == [True] * 4 + [False] * 4
+    assert matrix.cells[-1].words == (
         *("gaussian-sculpting-tiny", "--data", "/jar", "--reference", "/jar.ply", "--threads", "1"),
         *("--steps", "100", "--seed", "7"),
     )
-    for cell in plan.cells[3:5]:
+    for cell in matrix.cells[3:5]:
         assert parse(cell.words).max_time == (40 if cell.timed else None)
-    assert set(plan.warm_ups) == {"dents", "jar"}
-    warm = parse(plan.warm_ups["dents"])
+    assert set(matrix.warm_ups) == {"dents", "jar"}
+    warm = parse(matrix.warm_ups["dents"])
     assert warm.steps == 4
     assert {stage.inner_steps for stage in warm.trainer.stages} == {1}
     assert warm.max_time is None
@@ -183,7 +183,7 @@ def test_scenes_get_names_of_their_own(tmp_path: Path, monkeypatch: pytest.Monke
     for place in ("a/jar", "b/jar"):
         (tmp_path / place).mkdir(parents=True)
     monkeypatch.chdir(tmp_path)
-    found = planned_scenes(["demo:dents", "a/jar", str(tmp_path / "b" / "jar")])
+    found = matrix_scenes(["demo:dents", "a/jar", str(tmp_path / "b" / "jar")])
     assert [(scene.label, scene.data) for scene in found] == [
         ("dents", "demo:dents"),
         ("jar", str(tmp_path / "a" / "jar")),
@@ -197,7 +197,7 @@ def test_scenes_get_names_of_their_own(tmp_path: Path, monkeypatch: pytest.Monke
 )
 def test_scenes_that_cannot_be_run(scenes: list[str], message: str):
     with pytest.raises(ConfigError, match=message):
-        planned_scenes(scenes)
+        matrix_scenes(scenes)
 
 
 def test_what_the_surface_learns_from_is_left_out_a_part_at_a_time():

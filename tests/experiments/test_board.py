@@ -7,7 +7,7 @@ from rich.console import Console
 
 from sculpt_framework.experiments.board import ConsoleBoard
 from sculpt_framework.experiments.ledger import CellState
-from sculpt_framework.experiments.plan import Budget, Cell
+from sculpt_framework.experiments.matrix import Budget, Cell
 
 
 def cell(number: int, budget: Budget | None = None) -> Cell:

@@ -14,21 +14,21 @@ from sculpt_framework.comparison.runs import RunRecord
 from sculpt_framework.experiments.ablation import FACTORS, Ablation, ablation
 from sculpt_framework.experiments.ablation_tables import ablation_tables, notes, times_default
 from sculpt_framework.experiments.ledger import CellState, Ledger
+from sculpt_framework.experiments.matrix import Budget, Matrix, MatrixScene, cross
 from sculpt_framework.experiments.paper import ABLATION, NERF_SYNTHETIC, OMNIOBJECT3D, PaperTable
-from sculpt_framework.experiments.plan import Budget, Plan, PlannedScene, cross
 from sculpt_framework.experiments.results import CellResult, read_results, results_csv
 from sculpt_framework.experiments.runner import run_folder
 from sculpt_framework.experiments.suite_tables import our_table, paper_table
 from sculpt_framework.experiments.suites import Suite
 from sculpt_framework.experiments.tables import Table, number, power
 
-SCENES = (PlannedScene(label="dents", data="demo:dents"), PlannedScene(label="blob", data="demo:blob"))
+SCENES = (MatrixScene(label="dents", data="demo:dents"), MatrixScene(label="blob", data="demo:blob"))
 BUDGET = Budget(kind="seconds", amount=40.0)
 
 
-def put(folder: Path, plan: Plan, name: str, chamfer: float | None, **final: float) -> None:
+def put(folder: Path, matrix: Matrix, name: str, chamfer: float | None, **final: float) -> None:
     """A finished run, or a failed one."""
-    run_dir = run_folder(folder, next(cell for cell in plan.cells if cell.name == name))
+    run_dir = run_folder(folder, next(cell for cell in matrix.cells if cell.name == name))
     run_dir.mkdir(parents=True)
     (run_dir / "config.json").write_text('{"method": "gaussian-sculpting", "data": "demo:dents"}')
     if chamfer is None:
@@ -51,15 +51,15 @@ def ablated() -> Ablation:
 @pytest.fixture
 def results(ablated: Ablation, tmp_path: Path) -> tuple[CellResult, ...]:
     """Two scenes, three seeds; without scale twice and three times as bad, without distribution a failure in three."""
-    plan = cross("Test", ablated.settings, SCENES, [BUDGET], [0, 1, 2], [])
+    matrix = cross("Test", ablated.settings, SCENES, [BUDGET], [0, 1, 2], [])
     for scene, factor in (("dents", 2.0), ("blob", 4.5)):
         for seed in range(3):
             place = f"{scene}/40s/{{}}/seed-{seed}"
-            put(tmp_path, plan, place.format("default"), 0.01 * (1 + 0.1 * seed), psnr=30.0 + seed)
-            put(tmp_path, plan, place.format("no-scale"), factor * 0.01 * (1 + 0.1 * seed))
-            put(tmp_path, plan, place.format("no-distribution"), None if seed == 0 else 0.02)
-            put(tmp_path, plan, place.format("none"), None)
-    return read_results(plan, tmp_path)
+            put(tmp_path, matrix, place.format("default"), 0.01 * (1 + 0.1 * seed), psnr=30.0 + seed)
+            put(tmp_path, matrix, place.format("no-scale"), factor * 0.01 * (1 + 0.1 * seed))
+            put(tmp_path, matrix, place.format("no-distribution"), None if seed == 0 else 0.02)
+            put(tmp_path, matrix, place.format("none"), None)
+    return read_results(matrix, tmp_path)
 
 
 def test_the_summary(ablated: Ablation, results: tuple[CellResult, ...]):
@@ -141,9 +141,9 @@ def test_the_csv_has_a_line_per_run(ablated: Ablation, results: tuple[CellResult
 
 
 def test_a_finished_run_that_left_nothing_is_a_failure(ablated: Ablation, tmp_path: Path):
-    plan = cross("Test", ablated.settings[:1], SCENES[:1], [BUDGET], [0], [])
-    Ledger(tmp_path).set(plan.cells[0].name, CellState(status="finished"))
-    (result,) = read_results(plan, tmp_path)
+    matrix = cross("Test", ablated.settings[:1], SCENES[:1], [BUDGET], [0], [])
+    Ledger(tmp_path).set(matrix.cells[0].name, CellState(status="finished"))
+    (result,) = read_results(matrix, tmp_path)
     assert result.record is not None
     assert result.record.result("chamfer") == math.inf
     assert "is not a run directory" in (result.record.reason or "")
@@ -174,15 +174,15 @@ def test_counted_from_the_paper_s_own_figures():
 
 
 def test_ours_has_the_paper_s_columns(tmp_path: Path):
-    scenes = (PlannedScene(label="mic", data="/mic"), PlannedScene(label="ship", data="/ship"))
+    scenes = (MatrixScene(label="mic", data="/mic"), MatrixScene(label="ship", data="/ship"))
     suite = Suite(
         name="blender", scenes=scenes, columns=("mic", "ship"), missing=("chair",), paper=NERF_SYNTHETIC, unit=1e-2
     )
     settings = ablation("gaussian-sculpting", SCENES[0], [], factors=("start",), full=False).settings
-    plan = cross("Test", settings, scenes, [None], [0], [])
-    put(tmp_path, plan, "mic/full/default/seed-0", 0.013)
-    put(tmp_path, plan, "mic/full/cold-start/seed-0", None)
-    rows = rows_of(our_table(read_results(plan, tmp_path), suite, ["default", "cold-start"]))
+    matrix = cross("Test", settings, scenes, [None], [0], [])
+    put(tmp_path, matrix, "mic/full/default/seed-0", 0.013)
+    put(tmp_path, matrix, "mic/full/cold-start/seed-0", None)
+    rows = rows_of(our_table(read_results(matrix, tmp_path), suite, ["default", "cold-start"]))
     assert list(rows["default"]) == ["method", *NERF_SYNTHETIC.objects, "mean", "median", "failures", "wins"]
     assert [rows["default"][name] for name in ("Mic", "Chair", "mean", "failures", "wins")] == [
         *("1.30", "–", "1.30", "0", "1"),

@@ -14,22 +14,22 @@ from conftest import HERE, SilentBoard, started
 
 from sculpt_framework.errors import ConfigError, OutputError
 from sculpt_framework.experiments.ledger import CellState, Ledger, only_one
-from sculpt_framework.experiments.plan import Cell, Plan, remember
-from sculpt_framework.experiments.runner import ended_as, last_error, run_folder, run_plan
+from sculpt_framework.experiments.matrix import Cell, Matrix, remember
+from sculpt_framework.experiments.runner import ended_as, last_error, run_folder, run_matrix
 
-MakePlan = Callable[..., Plan]
+MakeMatrix = Callable[..., Matrix]
 pytestmark = pytest.mark.usefixtures("fake_command")
 
 
-def states(plan: Plan, folder: Path) -> dict[int, str]:
+def states(matrix: Matrix, folder: Path) -> dict[int, str]:
     ledger = Ledger(folder)
-    return {cell.seed: ledger.get(cell.name).status for cell in plan.cells}
+    return {cell.seed: ledger.get(cell.name).status for cell in matrix.cells}
 
 
-def test_a_failure_stops_nothing_and_says_why(make_plan: MakePlan, board: SilentBoard, tmp_path: Path):
-    plan = make_plan(10, 0, 11, 12, 16, 1)
-    ended = run_plan(plan, tmp_path, board)
-    assert states(plan, tmp_path) == {
+def test_a_failure_stops_nothing_and_says_why(make_matrix: MakeMatrix, board: SilentBoard, tmp_path: Path):
+    matrix = make_matrix(10, 0, 11, 12, 16, 1)
+    ended = run_matrix(matrix, tmp_path, board)
+    assert states(matrix, tmp_path) == {
         10: "failed",
         0: "finished",
         11: "failed",
@@ -45,36 +45,36 @@ def test_a_failure_stops_nothing_and_says_why(make_plan: MakePlan, board: Silent
     assert ended["scene/s0"].seconds is not None
     assert ended["scene/s0"].error is None
     assert ended == board.ends
-    assert ended_as(run_folder(tmp_path, plan.cells[1])) == "finished"
+    assert ended_as(run_folder(tmp_path, matrix.cells[1])) == "finished"
 
 
-def test_what_has_ended_is_not_run_again(make_plan: MakePlan, board: SilentBoard, tmp_path: Path):
-    plan = make_plan(0, 10)
-    first = run_plan(plan, tmp_path, board)
+def test_what_has_ended_is_not_run_again(make_matrix: MakeMatrix, board: SilentBoard, tmp_path: Path):
+    matrix = make_matrix(0, 10)
+    first = run_matrix(matrix, tmp_path, board)
     again = SilentBoard()
-    assert run_plan(make_plan(0, 10, 1), tmp_path, again) == {**first, "scene/s1": again.ends["scene/s1"]}
+    assert run_matrix(make_matrix(0, 10, 1), tmp_path, again) == {**first, "scene/s1": again.ends["scene/s1"]}
     assert again.waiting == ["scene/s1"]
     assert sorted(again.settled) == ["scene/s0", "scene/s10"]
     assert len(started(tmp_path)) == 3
 
 
-def test_failures_are_tried_again_when_asked(make_plan: MakePlan, board: SilentBoard, tmp_path: Path):
-    plan = make_plan(0, 10)
-    run_plan(plan, tmp_path, board)
-    ended = run_plan(plan, tmp_path, board, retry_failed=True)
+def test_failures_are_tried_again_when_asked(make_matrix: MakeMatrix, board: SilentBoard, tmp_path: Path):
+    matrix = make_matrix(0, 10)
+    run_matrix(matrix, tmp_path, board)
+    ended = run_matrix(matrix, tmp_path, board, retry_failed=True)
     assert ended["scene/s10"].attempts == 2
     assert ended["scene/s0"].attempts == 1
     assert (tmp_path / "runs" / "scene" / "s10.aside-1").is_dir()
 
 
 def test_a_run_that_finished_though_the_runner_did_not_see_it_is_left_alone(
-    make_plan: MakePlan, board: SilentBoard, tmp_path: Path
+    make_matrix: MakeMatrix, board: SilentBoard, tmp_path: Path
 ):
-    plan = make_plan(0)
-    run_plan(plan, tmp_path, board)
+    matrix = make_matrix(0)
+    run_matrix(matrix, tmp_path, board)
     Ledger(tmp_path).set("scene/s0", CellState(status="running", attempts=1))
-    run_plan(plan, tmp_path, board)
-    assert states(plan, tmp_path) == {0: "finished"}
+    run_matrix(matrix, tmp_path, board)
+    assert states(matrix, tmp_path) == {0: "finished"}
     assert len(started(tmp_path)) == 1
 
 
@@ -83,19 +83,19 @@ import sys
 sys.path.insert(0, sys.argv[1])
 from conftest import FAKE_TRAIN, SilentBoard
 from sculpt_framework.cli import exit_codes
-from sculpt_framework.experiments.plan import Budget, Cell, Plan
-from sculpt_framework.experiments.runner import run_plan
+from sculpt_framework.experiments.matrix import Budget, Cell, Matrix
+from sculpt_framework.experiments.runner import run_matrix
 from pathlib import Path
 budget = Budget(kind=sys.argv[3], amount=5.0)
 words = ("method", "--data", "scene", *budget.words, "--seed", "13")
 cell = Cell(name="scene/s13", scene="scene", setting="default", budget=budget, seed=13, words=words)
-plan = Plan(title="Test", cells=(cell,), warm_ups={})
-exit_codes.run(lambda: run_plan(plan, Path(sys.argv[2]), SilentBoard(), command=FAKE_TRAIN))
+matrix = Matrix(title="Test", cells=(cell,), warm_ups={})
+exit_codes.run(lambda: run_matrix(matrix, Path(sys.argv[2]), SilentBoard(), command=FAKE_TRAIN))
 """
 
 
 def interrupted_runner(folder: Path, kind: str, number: signal.Signals) -> int:
-    """Run a plan of one run that waits, in a process of its own, and send that a signal once the run is under way."""
+    """Run a matrix of one run that waits, in a process of its own, and send that a signal once the run is under way."""
     command = [sys.executable, "-c", RUNNER, str(HERE), str(folder), kind]
     with subprocess.Popen(command, stderr=subprocess.PIPE) as process:
         deadline, before = time.monotonic() + 30, len(started(folder))
@@ -109,13 +109,15 @@ def interrupted_runner(folder: Path, kind: str, number: signal.Signals) -> int:
 
 
 @pytest.mark.slow
-def test_an_interrupt_lets_runs_save_and_the_next_call_goes_on(make_plan: MakePlan, board: SilentBoard, tmp_path: Path):
+def test_an_interrupt_lets_runs_save_and_the_next_call_goes_on(
+    make_matrix: MakeMatrix, board: SilentBoard, tmp_path: Path
+):
     assert interrupted_runner(tmp_path, "steps", signal.SIGINT) == 130
-    plan = make_plan(13)
-    run_dir = run_folder(tmp_path, plan.cells[0])
+    matrix = make_matrix(13)
+    run_dir = run_folder(tmp_path, matrix.cells[0])
     assert ended_as(run_dir) == "stopped"
-    assert states(plan, tmp_path) == {13: "interrupted"}
-    ended = run_plan(plan, tmp_path, board)
+    assert states(matrix, tmp_path) == {13: "interrupted"}
+    ended = run_matrix(matrix, tmp_path, board)
     assert ended["scene/s13"].status == "finished"
     assert ended["scene/s13"].attempts == 2
     assert started(tmp_path)[1] == f"--resume {run_dir}"
@@ -123,11 +125,11 @@ def test_an_interrupt_lets_runs_save_and_the_next_call_goes_on(make_plan: MakePl
 
 
 @pytest.mark.slow
-def test_a_run_of_so_many_seconds_starts_again_from_the_beginning(make_plan: MakePlan, tmp_path: Path):
+def test_a_run_of_so_many_seconds_starts_again_from_the_beginning(make_matrix: MakeMatrix, tmp_path: Path):
     assert interrupted_runner(tmp_path, "seconds", signal.SIGTERM) == 130
-    plan = make_plan(13, timed=True)
-    assert states(plan, tmp_path) == {13: "interrupted"}
-    assert ended_as(run_folder(tmp_path, plan.cells[0])) is None, "nothing to be saved: it is begun anew"
+    matrix = make_matrix(13, timed=True)
+    assert states(matrix, tmp_path) == {13: "interrupted"}
+    assert ended_as(run_folder(tmp_path, matrix.cells[0])) is None, "nothing to be saved: it is begun anew"
     assert interrupted_runner(tmp_path, "seconds", signal.SIGINT) == 130
     assert all("--resume" not in line for line in started(tmp_path))
     assert (tmp_path / "runs" / "scene" / "s13.aside-1" / "ready").exists()
@@ -139,23 +141,23 @@ def test_no_process_outlives_the_runner(tmp_path: Path):
     assert str(tmp_path) not in listing
 
 
-def test_a_damaged_checkpoint_is_set_aside(make_plan: MakePlan, board: SilentBoard, tmp_path: Path):
-    plan = make_plan(15)
-    assert run_plan(plan, tmp_path, board)["scene/s15"].status == "failed"
+def test_a_damaged_checkpoint_is_set_aside(make_matrix: MakeMatrix, board: SilentBoard, tmp_path: Path):
+    matrix = make_matrix(15)
+    assert run_matrix(matrix, tmp_path, board)["scene/s15"].status == "failed"
     Ledger(tmp_path).set("scene/s15", CellState(status="interrupted", attempts=1))
-    assert run_plan(plan, tmp_path, board)["scene/s15"].status == "finished"
+    assert run_matrix(matrix, tmp_path, board)["scene/s15"].status == "finished"
     assert "could not go on from its checkpoint" in " ".join(board.said)
     assert (tmp_path / "runs" / "scene" / "s15.aside-1" / "checkpoints").is_dir()
 
 
-def test_two_at_a_time_if_asked(make_plan: MakePlan, board: SilentBoard, tmp_path: Path):
-    (one,) = make_plan(14).cells
-    plan = Plan(title="Test", cells=(one, replace(one, name="scene/other")), warm_ups={})
-    ended = run_plan(plan, tmp_path, board, jobs=2)
+def test_two_at_a_time_if_asked(make_matrix: MakeMatrix, board: SilentBoard, tmp_path: Path):
+    (one,) = make_matrix(14).cells
+    matrix = Matrix(title="Test", cells=(one, replace(one, name="scene/other")), warm_ups={})
+    ended = run_matrix(matrix, tmp_path, board, jobs=2)
     assert {state.status for state in ended.values()} == {"finished"}
 
 
-def test_one_at_a_time_otherwise(make_plan: MakePlan, tmp_path: Path):
+def test_one_at_a_time_otherwise(make_matrix: MakeMatrix, tmp_path: Path):
     events: list[str] = []
 
     class Diary(SilentBoard):
@@ -165,74 +167,76 @@ def test_one_at_a_time_otherwise(make_plan: MakePlan, tmp_path: Path):
         def ended(self, cell: Cell, state: CellState) -> None:
             events.append("ended")
 
-    run_plan(make_plan(0, 10, 1), tmp_path, Diary())
+    run_matrix(make_matrix(0, 10, 1), tmp_path, Diary())
     assert events == ["started", "ended"] * 3
 
 
-def test_warming_up_comes_first_and_leaves_nothing(make_plan: MakePlan, board: SilentBoard, tmp_path: Path):
-    plan = make_plan(0, 1, warm=True)
-    run_plan(plan, tmp_path, board)
+def test_warming_up_comes_first_and_leaves_nothing(make_matrix: MakeMatrix, board: SilentBoard, tmp_path: Path):
+    matrix = make_matrix(0, 1, warm=True)
+    run_matrix(matrix, tmp_path, board)
     lines = started(tmp_path)
     assert lines[0] == f"method --data scene --output {tmp_path / 'warm-up'}"
     assert len(lines) == 3
     assert not list(tmp_path.glob("warm-up*"))
-    run_plan(plan, tmp_path, board)
+    run_matrix(matrix, tmp_path, board)
     assert len(started(tmp_path)) == 3, "with nothing to run there is nothing to warm up for"
 
 
-def test_a_failed_warm_up_is_told(make_plan: MakePlan, board: SilentBoard, tmp_path: Path):
-    plan = make_plan(0)
-    bad = Plan(title="Test", cells=plan.cells, warm_ups={"scene": ("method", "--data", "scene", "--seed", "10")})
-    assert run_plan(bad, tmp_path, board)["scene/s0"].status == "finished"
+def test_a_failed_warm_up_is_told(make_matrix: MakeMatrix, board: SilentBoard, tmp_path: Path):
+    matrix = make_matrix(0)
+    bad = Matrix(title="Test", cells=matrix.cells, warm_ups={"scene": ("method", "--data", "scene", "--seed", "10")})
+    assert run_matrix(bad, tmp_path, board)["scene/s0"].status == "finished"
     assert "the warm-up of scene failed: the data are no good" in board.said
 
 
-def test_one_runner_at_a_time(make_plan: MakePlan, board: SilentBoard, tmp_path: Path):
+def test_one_runner_at_a_time(make_matrix: MakeMatrix, board: SilentBoard, tmp_path: Path):
     with only_one(tmp_path), pytest.raises(ConfigError, match=r"another process works in .*--out"):
-        run_plan(make_plan(0), tmp_path, board)
-    run_plan(make_plan(0), tmp_path, board)
+        run_matrix(make_matrix(0), tmp_path, board)
+    run_matrix(make_matrix(0), tmp_path, board)
 
 
-def test_results_of_another_question_are_refused(make_plan: MakePlan, board: SilentBoard, tmp_path: Path):
-    run_plan(make_plan(0), tmp_path, board)
+def test_results_of_another_question_are_refused(make_matrix: MakeMatrix, board: SilentBoard, tmp_path: Path):
+    run_matrix(make_matrix(0), tmp_path, board)
     with pytest.raises(ConfigError, match=r"holds another experiment: scene/s0 was run there as 'sculpt-train method"):
-        run_plan(make_plan(0, timed=True), tmp_path, board)
-    remember(make_plan(5), tmp_path)
-    assert sorted(json.loads((tmp_path / "plan.json").read_text())["cells"]) == ["scene/s0", "scene/s5"]
+        run_matrix(make_matrix(0, timed=True), tmp_path, board)
+    remember(make_matrix(5), tmp_path)
+    assert sorted(json.loads((tmp_path / "matrix.json").read_text())["cells"]) == ["scene/s0", "scene/s5"]
 
 
-@pytest.mark.parametrize(("name", "content"), [("plan.json", "[]"), ("plan.json", "{"), ("state.json", '{"cells": 3}')])
+@pytest.mark.parametrize(
+    ("name", "content"), [("matrix.json", "[]"), ("matrix.json", "{"), ("state.json", '{"cells": 3}')]
+)
 def test_files_of_something_else_are_refused(
-    name: str, content: str, make_plan: MakePlan, board: SilentBoard, tmp_path: Path
+    name: str, content: str, make_matrix: MakeMatrix, board: SilentBoard, tmp_path: Path
 ):
     (tmp_path / name).write_text(content)
     with pytest.raises(ConfigError, match="give another --out"):
-        run_plan(make_plan(0), tmp_path, board)
+        run_matrix(make_matrix(0), tmp_path, board)
     assert started(tmp_path) == []
 
 
-def test_a_folder_that_cannot_be_made(make_plan: MakePlan, board: SilentBoard, tmp_path: Path):
+def test_a_folder_that_cannot_be_made(make_matrix: MakeMatrix, board: SilentBoard, tmp_path: Path):
     (tmp_path / "file").touch()
     with pytest.raises(OutputError, match="give another --out"):
-        run_plan(make_plan(0), tmp_path / "file" / "out", board)
+        run_matrix(make_matrix(0), tmp_path / "file" / "out", board)
 
 
-def test_the_ledger_is_whole_after_every_change(make_plan: MakePlan, tmp_path: Path):
+def test_the_ledger_is_whole_after_every_change(make_matrix: MakeMatrix, tmp_path: Path):
     seen: list[dict[str, str]] = []
 
     class Reader(SilentBoard):
         def started(self, cell: Cell, resumed: bool) -> None:
             seen.append({n: s["status"] for n, s in json.loads((tmp_path / "state.json").read_text())["cells"].items()})
 
-    run_plan(make_plan(0, 10), tmp_path, Reader())
+    run_matrix(make_matrix(0, 10), tmp_path, Reader())
     assert seen == [{"scene/s0": "running"}, {"scene/s0": "finished", "scene/s10": "running"}]
 
 
-def test_jobs_share_the_cores(make_plan: MakePlan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_jobs_share_the_cores(make_matrix: MakeMatrix, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
     show = (sys.executable, "-c", "import os, sys; sys.exit('threads ' + os.environ.get('OMP_NUM_THREADS', 'free'))")
     for jobs, expected in ((1, "threads free"), (10_000, "threads 1")):
-        ended = run_plan(make_plan(0), tmp_path / str(jobs), SilentBoard(), jobs=jobs, command=show)
+        ended = run_matrix(make_matrix(0), tmp_path / str(jobs), SilentBoard(), jobs=jobs, command=show)
         assert ended["scene/s0"].error == expected
 
 

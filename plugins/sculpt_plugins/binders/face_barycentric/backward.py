@@ -6,7 +6,7 @@ that there is none of, or that nobody asked for.
 
 from numba import njit, prange
 
-from .triples import (
+from .vectors import (
     CHUNK,
     HALF,
     ONE,
@@ -187,7 +187,7 @@ def place_backward(
 ):  # fmt: skip
     """Fill ``to_logits``, ``to_log_ratios``, ``to_rotation`` and, where there is any, ``to_corners`` (f, 3, 3).
 
-    ``least`` is the parallelogram of the smallest face whose normal teaches (``Manner.least_parallelogram``).
+    ``least`` is the parallelogram of the smallest face whose normal teaches (``BindOptions.least_parallelogram``).
     """
     for chunk in prange((faces.shape[0] + CHUNK - 1) // CHUNK):
         # A function of its own: the passes for parallel loops do not take the tuples in it.

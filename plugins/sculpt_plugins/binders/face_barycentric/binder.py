@@ -10,10 +10,10 @@ from torch import Tensor
 from sculpt_framework.binders import Binder, Binding
 from sculpt_framework.geometry.faces import face_corners
 from sculpt_framework.types import Surface
-from sculpt_plugins.binders.face_barycentric.compiled import bind_compiled, relief_compiled, runs_compiled
+from sculpt_plugins.binders.face_barycentric.compiled import bind_compiled, neighbourhood_compiled, runs_compiled
 from sculpt_plugins.binders.face_barycentric.config import FaceBarycentricConfig
-from sculpt_plugins.binders.face_barycentric.in_torch import Manner, bind_in_torch, normal_and_radii
-from sculpt_plugins.binders.face_barycentric.outline import Relief, relief_of, rim_depths
+from sculpt_plugins.binders.face_barycentric.in_torch import BindOptions, bind_in_torch, normal_and_radii
+from sculpt_plugins.binders.face_barycentric.outline import Neighbourhood, neighbourhood_of, rim_depths
 from sculpt_plugins.binders.face_barycentric.placement import placement
 
 
@@ -37,7 +37,7 @@ class FaceBarycentricBinder(Binder):
     def __init__(self, config: FaceBarycentricConfig):
         self._config = config
         self._placement = placement(config.gaussians_per_face)
-        self._latest: tuple[Surface, Relief] | None = None
+        self._latest: tuple[Surface, Neighbourhood] | None = None
         self._rim_depths = torch.from_numpy(rim_depths(config.theta))
 
     @property
@@ -91,26 +91,26 @@ class FaceBarycentricBinder(Binder):
         else:
             opacities = torch.full_like(rows["log_ratios"][..., 0], self._config.theta)
         compiled = runs_compiled(surface, rows)
-        manner = Manner(
+        options = BindOptions(
             reference=self._config.reference,
             normal_scale=self._config.normal_scale,
             blur=blur,
-            relief=self._relief_of(surface.detach(), compiled) if self._config.fit_outline else None,
+            neighbourhood=self._neighbourhood_of(surface.detach(), compiled) if self._config.fit_outline else None,
             depths=self._rim_depths,
         )
         bind = bind_compiled if compiled else bind_in_torch
-        return bind(surface, rows, opacities, manner)
+        return bind(surface, rows, opacities, options)
 
-    def _relief_of(self, surface: Surface, compiled: bool) -> Relief:
+    def _neighbourhood_of(self, surface: Surface, compiled: bool) -> Neighbourhood:
         """That of the surface asked for last is kept: an inner loop binds to one surface many times."""
         if self._latest is not None:
-            known, relief = self._latest
+            known, neighbourhood = self._latest
             if torch.equal(known.faces, surface.faces) and torch.equal(known.vertices, surface.vertices):
-                return relief
+                return neighbourhood
         if compiled:
-            relief = relief_compiled(surface, self._config.reference)
+            neighbourhood = neighbourhood_compiled(surface, self._config.reference)
         else:
             corners = face_corners(surface.vertices, surface.faces)
-            relief = relief_of(surface.faces, corners, *normal_and_radii(corners, self._config.reference))
-        self._latest = (surface, relief)
-        return relief
+            neighbourhood = neighbourhood_of(surface.faces, corners, *normal_and_radii(corners, self._config.reference))
+        self._latest = (surface, neighbourhood)
+        return neighbourhood

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit, prange
 
 from .limits import FLAT, FLATTEST, LOG_LAYERS_FROM, LOG_LAYERS_STEP, NARROWEST, OF_A_SHEET, TINY
-from .triples import (
+from .vectors import (
     CHUNK,
     HALF,
     ONE,

@@ -11,11 +11,11 @@ from torch import Tensor
 from sculpt_framework.binders import Binding
 from sculpt_framework.types import Surface
 from sculpt_plugins.binders.face_barycentric.limits import SQUARE
-from sculpt_plugins.binders.face_barycentric.outline import Relief, fit_outline
+from sculpt_plugins.binders.face_barycentric.outline import Neighbourhood, fit_outline
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Manner:
+class BindOptions:
     """How Gaussians are bound, beside faces and rows."""
 
     reference: str
@@ -24,7 +24,7 @@ class Manner:
     """Standard deviation along the normal, in object units."""
     blur: float
     """Standard deviation of the screen's filter, in object units."""
-    relief: Relief | None
+    neighbourhood: Neighbourhood | None
     """Of the surface, if outlines are fitted."""
     depths: Float[Tensor, " n"]
     """``outline.rim_depths`` of the opacity."""
@@ -41,32 +41,32 @@ class Manner:
 
 
 def bind_in_torch(
-    surface: Surface, rows: Mapping[str, Tensor], opacities: Float[Tensor, "f k"], manner: Manner
+    surface: Surface, rows: Mapping[str, Tensor], opacities: Float[Tensor, "f k"], options: BindOptions
 ) -> Binding:
     """Differentiable in vertices and rows; what the outline's fit does is a constant of the step."""
     # Not by indexing: the order in which its backward adds on a CPU changes from run to run.
     corners = surface.vertices.index_select(0, surface.faces.reshape(-1)).reshape(-1, 3, 3)
     barycentrics = rows["barycentric_logits"].softmax(dim=2)
-    normal, radii = normal_and_radii(corners, manner.reference, manner.least_parallelogram)
+    normal, radii = normal_and_radii(corners, options.reference, options.least_parallelogram)
     means = barycentrics @ corners
     mixing = _mixing(rows["log_ratios"].exp(), rows.get("rotation"))
-    if manner.relief is not None:
+    if options.neighbourhood is not None:
         # Neither faces nor rows get a gradient through the fit.
         fit = fit_outline(
-            manner.relief,
+            options.neighbourhood,
             barycentrics.detach(),
             mixing.detach(),
-            manner.depths.to(corners),
-            blur=manner.blur,
-            normal_scale=manner.normal_scale,
+            options.depths.to(corners),
+            blur=options.blur,
+            normal_scale=options.normal_scale,
         )
         means = means - fit.depth[:, None, None] * normal[:, None] + fit.shift
         mixing = mixing @ fit.trim
     factor = radii[:, None] @ mixing
     length = (factor.square().sum(dim=2) + SQUARE).sqrt()
     normals = normal[:, None, :, None].expand(-1, opacities.shape[1], -1, -1)
-    flat = torch.full_like(length[..., :1], manner.normal_scale)
-    flat_corners, flat_radii = _in_plane(corners, normal, manner.reference)
+    flat = torch.full_like(length[..., :1], options.normal_scale)
+    flat_corners, flat_radii = _in_plane(corners, normal, options.reference)
     covariance_factor = flat_radii[:, None] @ mixing
     return Binding(
         means=means,
@@ -82,7 +82,7 @@ def bind_in_torch(
 def normal_and_radii(
     corners: Float[Tensor, "f 3 3"], reference: str, least: float = 0.0
 ) -> tuple[Float[Tensor, "f 3"], Float[Tensor, "f 3 2"]]:
-    """Unit normals, and both reference radii as columns. ``least``: ``Manner.least_parallelogram``."""
+    """Unit normals, and both reference radii as columns. ``least``: ``BindOptions.least_parallelogram``."""
     first, second, third = corners.unbind(1)
     edge, other = second - first, third - first
     upward = torch.cross(edge, other, dim=1)

@@ -31,7 +31,7 @@ from sculpt_plugins.binders.face_barycentric.limits import (
     OF_A_SHEET,
     TINY,
 )
-from sculpt_plugins.binders.face_barycentric.sheets import thicknesses
+from sculpt_plugins.binders.face_barycentric.thickness import thicknesses
 
 COLUMN = 2.0 * math.sqrt(2.0)
 """Width of the columns in which the other side of a sheet is looked for, over the root of a face's mean area: two cells
@@ -53,7 +53,7 @@ class Fit:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Relief:
+class Neighbourhood:
     """A surface as seen from each of its faces; edge j runs from corner j to the next. Faces come last: sums over three
     edges or coordinates are then sums of whole rows, several times as fast."""
 
@@ -78,21 +78,21 @@ class Relief:
         return self.sine / (1.0 + self.cosine).clamp(min=FLAT)
 
 
-def rim_depths(theta: float) -> Float64[np.ndarray, " n"]:
-    """D for opacity theta at equal steps of ln N: the solutions of tau(D) = ln 2."""
+def rim_depths(opacity: float) -> Float64[np.ndarray, " n"]:
+    """D at equal steps of ln N: the solutions of tau(D) = ln 2."""
     depths, places = np.linspace(0.0, 5.0, 101), np.linspace(-3.0, 3.0, 121)
     terms = np.arange(1, 80)
     # Li_3/2 is the optical depth of a row of Gaussians, summed along the row.
-    peaks = theta * np.exp(-0.5 * (depths[:, None] + places**2) ** 2)
+    peaks = opacity * np.exp(-0.5 * (depths[:, None] + places**2) ** 2)
     tau = (peaks[:, :, None] ** terms / terms**1.5).sum(axis=(1, 2)) * (places[1] - places[0])
     wanted = np.arange(LOG_LAYERS_FROM, LOG_LAYERS_TO + LOG_LAYERS_STEP, LOG_LAYERS_STEP)
     found = np.interp(wanted, math.log(math.log(2.0)) - np.log(tau), depths)
-    least = 2.0 * math.log(theta / (1.0 - 0.5 ** (1.0 / _LAYERS_AT_AN_EDGE)))
+    least = 2.0 * math.log(opacity / (1.0 - 0.5 ** (1.0 / _LAYERS_AT_AN_EDGE)))
     return np.maximum(found, math.sqrt(max(least, 0.0)))
 
 
 def fit_outline(
-    relief: Relief,
+    neighbourhood: Neighbourhood,
     barycentrics: Float[Tensor, "f k 3"],
     mixing: Float[Tensor, "f k 2 2"],
     depths: Float[Tensor, " n"],
@@ -105,31 +105,31 @@ def fit_outline(
     ``depths`` is ``rim_depths`` of their opacity; ``blur`` is the deviation of the screen's filter, in object units.
     """
     width = math.hypot(blur, normal_scale)
-    across = _across(relief, mixing)
-    deviations = _interpolated(depths, _log_layers(relief, across, barycentrics.shape[1], width, blur))
+    across = _across(neighbourhood, mixing)
+    deviations = _interpolated(depths, _log_layers(neighbourhood, across, barycentrics.shape[1], width, blur))
     depth = width * deviations
     # The distance from edge j is the height times the share of the corner opposite.
-    distance = barycentrics.permute(2, 1, 0).roll(-2, dims=0) * relief.heights[:, None]
-    away = ((depth * relief.half_tangent)[:, None] - distance).clamp(min=0.0)
+    distance = barycentrics.permute(2, 1, 0).roll(-2, dims=0) * neighbourhood.heights[:, None]
+    away = ((depth * neighbourhood.half_tangent)[:, None] - distance).clamp(min=0.0)
     # No further than the corner opposite.
-    away = torch.minimum(away, relief.heights[:, None] - distance)
-    shift = -(away[:, :, None] * relief.outward[:, None]).sum(dim=0)
-    distance = distance - (shift * relief.outward[:, None]).sum(dim=2)
-    below = (depth * relief.cosine)[:, None] + relief.sine[:, None] * distance
+    away = torch.minimum(away, neighbourhood.heights[:, None] - distance)
+    shift = -(away[:, :, None] * neighbourhood.outward[:, None]).sum(dim=0)
+    distance = distance - (shift * neighbourhood.outward[:, None]).sum(dim=2)
+    below = (depth * neighbourhood.cosine)[:, None] + neighbourhood.sine[:, None] * distance
     spread = (below.clamp(min=0.0) / deviations).square() - blur * blur
     return Fit(
-        depth=torch.minimum(depth, OF_A_SHEET * relief.thickness),
+        depth=torch.minimum(depth, OF_A_SHEET * neighbourhood.thickness),
         shift=shift.permute(2, 0, 1).contiguous(),
-        trim=_trims(relief, across, spread - (normal_scale * relief.cosine)[:, None].square()),
+        trim=_trims(neighbourhood, across, spread - (normal_scale * neighbourhood.cosine)[:, None].square()),
     )
 
 
-def relief_of(
+def neighbourhood_of(
     faces: Int64[Tensor, "f 3"],
     corners: Float[Tensor, "f 3 3"],
     normal: Float[Tensor, "f 3"],
     radii: Float[Tensor, "f 3 2"],
-) -> Relief:
+) -> Neighbourhood:
     """What the fit has to know of a surface, whatever its Gaussians; finite for faces of no area."""
     corner = corners.permute(1, 2, 0).contiguous()
     own = normal.T.contiguous()
@@ -141,7 +141,7 @@ def relief_of(
     # From the corner opposite, which is two further on, to the edge.
     heights = ((corner - corner.roll(-2, dims=0)) * outward).sum(dim=1)
     area = 0.5 * float((heights[0] * lengths[0]).mean())
-    return Relief(
+    return Neighbourhood(
         outward=outward,
         heights=heights,
         cosine=(theirs * own).sum(dim=1),
@@ -165,31 +165,33 @@ def neighbours(faces: Int64[Tensor, "f 3"]) -> Int64[Tensor, "f 3"]:
     return across.reshape(-1, 3)
 
 
-def _across(relief: Relief, mixing: Float[Tensor, "f k 2 2"]) -> Float[Tensor, "3 2 k f"]:
+def _across(neighbourhood: Neighbourhood, mixing: Float[Tensor, "f k 2 2"]) -> Float[Tensor, "3 2 k f"]:
     """By edge: components along ``outward`` of both columns of the tangential factors."""
     along, other = mixing.permute(2, 3, 1, 0).contiguous()
-    return relief.reach[:, 0, None, None] * along + relief.reach[:, 1, None, None] * other
+    return neighbourhood.reach[:, 0, None, None] * along + neighbourhood.reach[:, 1, None, None] * other
 
 
-def log_density(relief: Relief, variance: float, per_face: int, width: float, blur: float) -> float:
+def log_density(neighbourhood: Neighbourhood, variance: float, per_face: int, width: float, blur: float) -> float:
     """ln N of a rim of curvature 1: how many Gaussians overlap there. ``width`` is s.
 
     ``variance`` is that of the Gaussians along an edge's normal, averaged over edges, which stands for that along the
     rim.
     """
-    per_root = per_face / (relief.area + TINY) * math.sqrt(2.0 * math.pi * (variance + blur * blur) * 2.0 * width)
+    per_root = (
+        per_face / (neighbourhood.area + TINY) * math.sqrt(2.0 * math.pi * (variance + blur * blur) * 2.0 * width)
+    )
     return math.log(per_root + TINY)
 
 
 def _log_layers(
-    relief: Relief, across: Float[Tensor, "3 2 k f"], per_face: int, width: float, blur: float
+    neighbourhood: Neighbourhood, across: Float[Tensor, "3 2 k f"], per_face: int, width: float, blur: float
 ) -> Float[Tensor, " f"]:
     """ln N on a rim of each face's own curvature."""
     variance = float(across.square().sum(dim=1).mean())
     # Two centroids are about two thirds of a height apart, and the bend between two sides of a polygon round a circle
     # has a half whose tangent is half a side over the radius.
-    curvature = (3.0 * relief.half_tangent / (relief.heights + TINY)).amax(dim=0).clamp(min=FLATTEST)
-    return log_density(relief, variance, per_face, width, blur) - 0.5 * curvature.log()
+    curvature = (3.0 * neighbourhood.half_tangent / (neighbourhood.heights + TINY)).amax(dim=0).clamp(min=FLATTEST)
+    return log_density(neighbourhood, variance, per_face, width, blur) - 0.5 * curvature.log()
 
 
 def _interpolated(depths: Float[Tensor, " n"], log_layers: Float[Tensor, " f"]) -> Float[Tensor, " f"]:
@@ -202,7 +204,7 @@ def _interpolated(depths: Float[Tensor, " n"], log_layers: Float[Tensor, " f"]) 
 
 
 def _trims(
-    relief: Relief, across: Float[Tensor, "3 2 k f"], spread: Float[Tensor, "3 k f"]
+    neighbourhood: Neighbourhood, across: Float[Tensor, "3 2 k f"], spread: Float[Tensor, "3 k f"]
 ) -> Float[Tensor, "f k 2 2"]:
     """Matrices C that make covariances as small across bends as they must be.
 
@@ -212,8 +214,8 @@ def _trims(
     """
     x, y = across.unbind(dim=1)
     variance = x * x + y * y + TINY
-    bound = torch.maximum(spread / (relief.sine.square() + TINY)[:, None], NARROWEST**2 * variance)
-    surplus = (1.0 / bound - 1.0 / variance).clamp(min=0.0) * (relief.sine > 0.0)[:, None]
+    bound = torch.maximum(spread / (neighbourhood.sine.square() + TINY)[:, None], NARROWEST**2 * variance)
+    surplus = (1.0 / bound - 1.0 / variance).clamp(min=0.0) * (neighbourhood.sine > 0.0)[:, None]
     xx, xy, yy = (surplus * x * x).sum(dim=0), (surplus * x * y).sum(dim=0), (surplus * y * y).sum(dim=0)
     # The inverse transpose of the Cholesky factor of I + sum c g g^T.
     first = (1.0 + xx).sqrt()

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO
 
-from sculpt_framework.child_processes import INTERRUPT, OWN_GROUP, leashed
+from sculpt_framework.child_processes import INTERRUPT, OWN_GROUP, ending_with_parent
 from sculpt_framework.errors import DeviceError, OutputError
 
 KILLED = -9
@@ -119,7 +119,7 @@ def start_process(command: Sequence[str], log: Path, environment: Mapping[str, s
         with open_log(log) as output:
             return subprocess.Popen(
                 # Two processes in one run directory would leave neither's run: no run outlives who watches it.
-                leashed(command),
+                ending_with_parent(command),
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,

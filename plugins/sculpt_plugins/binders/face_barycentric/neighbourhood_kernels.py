@@ -1,4 +1,4 @@
-"""``outline.Relief`` in compiled kernels: a surface as seen from each of its faces. For the CPU."""
+"""``outline.Neighbourhood`` in compiled kernels: a surface as seen from each of its faces. For the CPU."""
 
 import math
 
@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit, prange
 
 from .limits import FLAT, OPPOSITE, PLACE_BITS, TINY, UNDECIDED
-from .triples import CHUNK, HALF, OPTIONS, THIRD, ZERO, cross, dot, minus, plus, reference, row, scaled, unit
+from .vectors import CHUNK, HALF, OPTIONS, THIRD, ZERO, cross, dot, minus, plus, reference, row, scaled, unit
 
 _FLAT, _TINY = np.float32(FLAT), np.float32(TINY)
 _OPPOSITE, _UNDECIDED, _FAR = np.float32(OPPOSITE), np.float32(UNDECIDED), np.float32(np.inf)
@@ -72,7 +72,7 @@ def look_along(vertices, faces, normals, centroids):
 
 @njit(parallel=True, **OPTIONS)
 def look_across(vertices, faces, steiner, across, normals, outward, heights, cosine, sine, reach, areas):
-    """What ``Relief`` has of each edge; ``areas`` are sums over chunks of faces."""
+    """What ``Neighbourhood`` has of each edge; ``areas`` are sums over chunks of faces."""
     count = faces.shape[0]
     for chunk in prange(areas.shape[0]):
         area = 0.0
@@ -109,7 +109,7 @@ def _name(axis, ahead, cells, place, count):
 
 @njit(parallel=True, **OPTIONS)
 def name_sides(centroids, normals, low, extent, column, names, wanted):
-    """Names of the faces, and names that their partners would have, as in sheets.py.
+    """Names of the faces, and names that their partners would have, as in thickness.py.
 
     ``low`` has the least coordinates, ``extent`` is the largest one. ``wanted`` has two rows; the second is
     ``NOT_WANTED`` unless the normal is undecided between two axes.

@@ -1,4 +1,4 @@
-"""A plan: which runs an experiment consists of, each as the command line it stands for."""
+"""The matrix of an experiment: the runs it consists of, each as the command line it stands for."""
 
 import json
 import os
@@ -15,10 +15,10 @@ from sculpt_framework.errors import ConfigError, OutputError
 from sculpt_framework.export.atomic import write_atomically
 from sculpt_framework.export.json_text import json_text
 
-PLAN_NAME = "plan.json"
-PLAN_SCHEMA = 1
-PLANNED_OPTIONS = ("--data", "--output", "--seed", "--resume", "--max-time", "--steps", "--config")
-"""What a plan sets itself, run by run."""
+MATRIX_NAME = "matrix.json"
+MATRIX_SCHEMA = 1
+MATRIX_OPTIONS = ("--data", "--output", "--seed", "--resume", "--max-time", "--steps", "--config")
+"""What a matrix sets itself, run by run."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,11 +58,11 @@ class Setting:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlannedScene:
+class MatrixScene:
     """A scene to run on."""
 
     label: str
-    """Short name, unique in the plan."""
+    """Short name, unique in the matrix."""
     data: str
     """As given to ``--data``: a demo name or the absolute path of a folder."""
     words: tuple[str, ...] = ()
@@ -92,7 +92,7 @@ class Cell:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Plan:
+class Matrix:
     """What an experiment runs."""
 
     title: str
@@ -105,11 +105,11 @@ class Plan:
 def cross(
     title: str,
     settings: Sequence[Setting],
-    scenes: Sequence[PlannedScene],
+    scenes: Sequence[MatrixScene],
     budgets: Sequence[Budget | None],
     seeds: Sequence[int],
     extra: Sequence[str],
-) -> Plan:
+) -> Matrix:
     """Every setting on every scene with every budget and seed. ``extra`` goes to all of them.
 
     Cells come scene by scene, and within a scene all settings of a seed before the next seed, so that what there is
@@ -140,10 +140,10 @@ def cross(
     first = {scene.data: scene for scene in reversed(scenes)}
     warmed = [scene for scene in first.values() if scene is scenes[0] or not Path(scene.data).exists()]
     warm_ups = {scene.label: (*_start_of(settings[0], scene, extra), *short) for scene in warmed}
-    return Plan(title=title, cells=cells, warm_ups=warm_ups)
+    return Matrix(title=title, cells=cells, warm_ups=warm_ups)
 
 
-def config_of(setting: Setting, scene: PlannedScene, extra: Sequence[str]) -> MethodConfig:
+def config_of(setting: Setting, scene: MatrixScene, extra: Sequence[str]) -> MethodConfig:
     """The config a setting stands for, found without torch. Raises ConfigError, naming the setting."""
     try:
         return parse(_start_of(setting, scene, extra))
@@ -151,7 +151,7 @@ def config_of(setting: Setting, scene: PlannedScene, extra: Sequence[str]) -> Me
         raise type(error)(f"{setting.name}: {error}") from error
 
 
-def _start_of(setting: Setting, scene: PlannedScene, extra: Sequence[str]) -> tuple[str, ...]:
+def _start_of(setting: Setting, scene: MatrixScene, extra: Sequence[str]) -> tuple[str, ...]:
     kept = without_options(extra, setting.replaces)
     return (setting.method, "--data", scene.data, *scene.words, *kept, *setting.words)
 
@@ -169,14 +169,14 @@ def without_options(words: Sequence[str], options: Sequence[str]) -> tuple[str, 
     return tuple(kept)
 
 
-def planned_scenes(scenes: Sequence[str]) -> tuple[PlannedScene, ...]:
+def matrix_scenes(scenes: Sequence[str]) -> tuple[MatrixScene, ...]:
     """Scenes as given to ``--data``, each with a short name; those that would be called the same get a number.
 
     Raises ConfigError for none, for one that is given twice, and for one that is neither a folder nor a demo.
     """
     if not scenes:
         raise ConfigError("no scenes to run; expected demo names or folders.")
-    found: dict[str, PlannedScene] = {}
+    found: dict[str, MatrixScene] = {}
     for scene in scenes:
         data = absolute_data(scene)
         if data in (each.data for each in found.values()):
@@ -186,7 +186,7 @@ def planned_scenes(scenes: Sequence[str]) -> tuple[PlannedScene, ...]:
         while label in found:
             number += 1
             label = f"{plain}-{number}"
-        found[label] = PlannedScene(label=label, data=data)
+        found[label] = MatrixScene(label=label, data=data)
     return tuple(found.values())
 
 
@@ -203,21 +203,21 @@ def absolute_data(data: str) -> str:
 
 
 def check_extra(extra: Sequence[str]) -> None:
-    """Raise ConfigError where the user's own words set what the plan sets run by run."""
+    """Raise ConfigError where the user's own words set what the matrix sets run by run."""
     for word in extra:
         option = word.partition("=")[0].replace("_", "-")
-        if option in PLANNED_OPTIONS:
-            raise ConfigError(f"{option} cannot be given after --: it is what the runs of the plan differ in.")
+        if option in MATRIX_OPTIONS:
+            raise ConfigError(f"{option} cannot be given after --: it is what the runs of the experiment differ in.")
 
 
-def remember(plan: Plan, folder: Path) -> None:
-    """Write the plan's cells beside those the folder knows already.
+def remember(matrix: Matrix, folder: Path) -> None:
+    """Write the matrix's cells beside those the folder knows already.
 
     Raises ConfigError if a cell of the same name was planned there with other words: its results answer another
     question. Raises OutputError where the folder cannot be written.
     """
-    known = _known_cells(folder / PLAN_NAME)
-    for cell in plan.cells:
+    known = _known_cells(folder / MATRIX_NAME)
+    for cell in matrix.cells:
         before = known.get(cell.name)
         if before is not None and tuple(before["words"]) != cell.words:
             raise ConfigError(
@@ -231,12 +231,12 @@ def remember(plan: Plan, folder: Path) -> None:
             "seed": cell.seed,
             "words": list(cell.words),
         }
-    document = {"schema": PLAN_SCHEMA, "title": plan.title, "cells": known}
+    document = {"schema": MATRIX_SCHEMA, "title": matrix.title, "cells": known}
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OutputError(f"cannot write to {folder}: {error.strerror}; give another --out.") from error
-    write_atomically(folder / PLAN_NAME, (json_text(document, indent=1) + "\n").encode())
+    write_atomically(folder / MATRIX_NAME, (json_text(document, indent=1) + "\n").encode())
 
 
 def _known_cells(path: Path) -> dict[str, Any]:
@@ -248,7 +248,7 @@ def _known_cells(path: Path) -> dict[str, Any]:
             return cells
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         pass
-    raise ConfigError(f"{path} is not the plan of an experiment; give another --out.")
+    raise ConfigError(f"{path} is not the matrix of an experiment; give another --out.")
 
 
 def folder_name(text: str) -> str:

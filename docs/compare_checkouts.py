@@ -6,7 +6,8 @@ Each trains the same runs, one after the other, in a process of its own: the def
 paper's, for a few steps; one that is interrupted and resumed; one that is told what another was told in its
 viewer; one that is repaired in a box. Compared are meshes, Gaussians, the curves but for what a clock or the memory
 says, and every tensor of the last checkpoint. What the options of an older checkout are called is said by
-``--steps-option``. Exits with 1 where anything differs.
+``--steps-option``. Exits with 1 where anything differs. Run it twice where a checkout is new: the process that compiles
+kernels rounds otherwise than those that load them afterwards, which moves a curve by a millionth.
 
     python docs/compare_checkouts.py CHECKOUT OTHER --times 5
 

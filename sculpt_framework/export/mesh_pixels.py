@@ -69,10 +69,9 @@ def draw_mesh(vertices: Vertices, faces: Faces, camera: Camera, *, closed: bool 
     A surface known to be ``closed``, seen from outside, is drawn in less time.
     """
     local = camera.local(vertices)
-    inverse = np.where(local[:, 2] > 0, 1 / np.where(local[:, 2] > 0, local[:, 2], 1), 0)
-    columns = camera.fx * local[:, 0] * inverse + camera.cx
-    rows = camera.fy * local[:, 1] * inverse + camera.cy
-    places = np.stack([columns, rows], axis=1)
+    before = local[:, 2] > 0
+    inverse = np.where(before, 1 / np.where(before, local[:, 2], 1), 0)
+    places = np.where(before[:, None], camera.pixels(local), 0)
     return draw_triangles(places, inverse, faces, camera.width, camera.height, closed=closed)
 
 

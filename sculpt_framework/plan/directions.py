@@ -156,12 +156,12 @@ def _free(
 def _look_up(view: View, points: Float[Tensor, "n 3"]) -> tuple[Float[Tensor, "n 3"], Bool[Tensor, " n"]]:
     """Colours where the points are seen, and whether all pixels around are the object's."""
     camera: Camera = view.camera
-    local = points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
-    depth = local[:, 2].clamp(min=1e-6)
-    x = 2 * (camera.fx * local[:, 0] / depth + camera.cx) / camera.width - 1
-    y = 2 * (camera.fy * local[:, 1] / depth + camera.cy) / camera.height - 1
-    where = torch.stack([x, y], dim=1)[None, None]
+    pixels = camera.project(points.double().numpy())
+    # What is not in front of the camera is NaN, and looked up outside the image, where all is 0.
+    outside = np.isnan(pixels[:, :1])
+    across = np.where(outside, -3, 2 * pixels / (camera.width, camera.height) - 1)
+    where = torch.from_numpy(across).to(points)[None, None]
     assert view.alpha is not None  # noqa: S101
     image = torch.cat([view.rgb, view.alpha[..., None]], dim=2).permute(2, 0, 1)[None]
     found = functional.grid_sample(image, where, padding_mode="zeros", align_corners=False)[0, :, 0].T
-    return found[:, :3], (local[:, 2] > 0) & (found[:, 3] > 0.98)
+    return found[:, :3], found[:, 3] > 0.98

@@ -103,7 +103,7 @@ def kill_at(outer: int, share: float) -> None:
 
     def step(self: Session, *words: Any) -> Any:
         if self.step == outer:
-            processes, calls = self.processes, [0]
+            processes, calls = self.host.processes, [0]
             reduce = processes.reduce
 
             def dying(*given: Any) -> Any:

@@ -20,7 +20,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from measure_poses import Similarity, pose_errors, read_poses, say, similarity
+from measure_poses import Similarity, pose_errors, read_poses, similarity
 
 from sculpt_framework.evaluation.mesh import Mesh, load_mesh
 from sculpt_framework.experiments.capture_measures import Capture
@@ -35,11 +35,11 @@ def main() -> int:
     options = parser.parse_args()
     titles = ("scene", "posed", "degrees", "position %", "seconds", "", "residual px", "", "distance", "", "median", "")
     row = "{:22} {:>8} {:>8} {:>11} {:>8} {:>6} {:>11} {:>6} {:>9} {:>6} {:>7} {:>6} {:>7} {:>6}"
-    say(row.format(*titles, "own px", ""))
+    print(row.format(*titles, "own px", ""))
     for folder in options.scenes:
         for masks in options.masks:
             if masks == "without" or (folder / "masks").is_dir():
-                say(line_of(folder, options.out, masks == "with"))
+                print(line_of(folder, options.out, masks == "with"), flush=True)
     return 0
 
 

@@ -9,7 +9,9 @@ import re
 import sys
 from dataclasses import fields, is_dataclass
 from pathlib import Path
+from typing import cast
 
+from sculpt_framework.config import ComponentConfig
 from sculpt_framework.registry import SLOTS, name_of
 from sculpt_framework.sculpting.config import SculptingConfig
 from sculpt_methods.paper import gaussian_sculpting_paper
@@ -49,7 +51,7 @@ def value_of(config: SculptingConfig, path: str) -> str:
         found = next((part for part in getattr(config, slot) if name_of(part) == rest[0]), None)
         rest = rest[1:]
     elif slot in SLOTS and not rest:
-        return name_of(found)
+        return name_of(cast(ComponentConfig, found))
     for name in rest:
         if not is_dataclass(found) or name not in {field.name for field in fields(found)}:
             return ABSENT

@@ -78,10 +78,10 @@ def our_chart() -> str:
 
 
 def matplotlib_chart() -> str:
-    import matplotlib
+    import matplotlib  # pyright: ignore[reportMissingImports]
 
     matplotlib.use("svg")
-    import matplotlib.pyplot as plt
+    import matplotlib.pyplot as plt  # pyright: ignore[reportMissingImports]
 
     figure, axes = plt.subplots(figsize=(4.6, 2.9))
     for name, values in LINES.items():

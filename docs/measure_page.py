@@ -29,7 +29,7 @@ def main() -> None:
     options.add_argument("--gaussians-per-face", type=int, default=2)
     chosen = options.parse_args()
     snapshot = large_snapshot(chosen.faces, chosen.gaussians_per_face)
-    sys.stdout.write(f"{len(snapshot.surface.faces)} faces, {len(snapshot.gaussians)} Gaussians\n\n")
+    sys.stdout.write(f"{len(snapshot.surface.faces)} faces, {chosen.faces * chosen.gaussians_per_face} Gaussians\n\n")
     sys.stdout.write("| what | CPU s | MB |\n|---|---|---|\n")
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "frame.npz"

@@ -48,8 +48,8 @@ class Stopwatch:
         """``wait`` returns when the device has done what it was told."""
         self.on = False
         self._wait = wait
-        self.seconds = dict.fromkeys(PARTS, 0.0)
-        self.calls = dict.fromkeys(PARTS, 0)
+        self.seconds: dict[str, float] = dict.fromkeys(PARTS, 0.0)
+        self.calls: dict[str, int] = dict.fromkeys(PARTS, 0)
         self._since = 0.0
         self._stack: list[str] = []
 

@@ -224,8 +224,8 @@ def with_faces(mesh: Mesh, radius: float) -> Mesh:
     """The surface in faces that are fine enough to be spoilt, as many as that takes where it cannot be had in fewer."""
     if len(mesh.faces) > FACES:
         return fewer_if_closed(mesh, FACES)
-    vertices, faces = trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, CELL * radius)
-    merged = trimesh.Trimesh(vertices, faces, process=True)
+    finer = trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, CELL * radius)
+    merged = trimesh.Trimesh(finer[0], finer[1], process=True)
     made = Mesh(vertices=np.array(merged.vertices), faces=np.array(merged.faces, np.int64))
     # Long thin triangles are cut into far more than that.
     return fewer_if_closed(made, 3 * FACES)
@@ -267,7 +267,8 @@ def low_passed(mesh: Mesh, cells: float) -> Mesh:
     """What is left of the solid after a Gaussian of so many cells of 128."""
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     cell = CELL * radius_of(mesh)
-    solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).voxelized(cell).fill().matrix.astype(np.float32)
+    voxels = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).voxelized(cell)
+    solid = voxels.fill().matrix.astype(np.float32)  # pyright: ignore[reportOptionalMemberAccess]
     blurred = ndimage.gaussian_filter(np.pad(solid, 12), cells)
     if not blurred.max() > 0.5:
         raise DataError("nothing of it is as thick as that")
@@ -381,7 +382,7 @@ def complete(rows: Sequence[Mapping[str, str]]) -> list[Mapping[str, str]]:
 
 def correlation(rows: Sequence[Mapping[str, str]], name: str, truth: str = "error") -> float:
     pairs = np.array([(float(row[truth]), float(row[name])) for row in rows])
-    return float(spearmanr(pairs[:, 0], pairs[:, 1]).statistic)
+    return float(spearmanr(pairs[:, 0], pairs[:, 1]).statistic)  # pyright: ignore[reportAttributeAccessIssue]
 
 
 if __name__ == "__main__":

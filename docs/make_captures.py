@@ -14,6 +14,9 @@ into the unit ball; its z axis points up. An image that is there is not rendered
   nerfstudio's layout, as are the others.
 - turntable: camera, lamps and background stand still, the object is turned.
 - museum: dark bronze and gold under spot lights.
+- board: phone again, with a printed board under the object; plate: turntable again, with one under a plain object that
+  turns with it. Their frame.json says what a unit is in metres.
+- flipped: turntable again, and a second time with the object on its head.
 """
 
 import argparse
@@ -28,23 +31,37 @@ import numpy as np
 import trimesh
 from blender_captures import carvings, developing, house, printed, rigs
 from blender_captures.parts import Piece, standing
+from blender_captures.printed_board import board_below, true_frame
 
 from sculpt_framework.export.atomic import write_atomically
+from sculpt_framework.frame import write_frame
 
 
 @dataclass(frozen=True, kw_only=True)
 class Kind:
+    room: str
+    """And the camera that goes with it."""
     rig: Callable[[], rigs.Rig]
     objects: dict[str, Callable[[], list[Piece]]]
+    board: bool = False
+    """Whether one lies under the object."""
     pose_error: float = 0.0
     """Pixels, root mean square, of the poses that are written."""
 
 
 KINDS = {
-    "lab": Kind(rig=rigs.lab, objects={"house": house.house, "skull": carvings.skull}),
-    "museum": Kind(rig=rigs.museum, objects={"head": carvings.head, "cape": carvings.cape}),
-    "turntable": Kind(rig=rigs.turntable, objects={"pot": carvings.pot, "statue": carvings.statue}),
-    "phone": Kind(rig=rigs.phone, objects={"relief": carvings.relief, "box": printed.box_and_mug}, pose_error=0.4),
+    "lab": Kind(room="lab", rig=rigs.lab, objects={"house": house.house, "skull": carvings.skull}),
+    "museum": Kind(room="museum", rig=rigs.museum, objects={"head": carvings.head, "cape": carvings.cape}),
+    "turntable": Kind(room="turntable", rig=rigs.turntable, objects={"pot": carvings.pot, "statue": carvings.statue}),
+    "phone": Kind(
+        room="phone",
+        rig=rigs.phone,
+        objects={"relief": carvings.relief, "box": printed.box_and_mug},
+        pose_error=0.4,
+    ),
+    "board": Kind(room="phone", rig=rigs.phone, objects={"box": printed.box_and_mug}, board=True),
+    "plate": Kind(room="turntable", rig=rigs.turntable, objects={"statue": carvings.plain_statue}, board=True),
+    "flipped": Kind(room="turntable", rig=rigs.twice, objects={"pot": carvings.pot}),
 }
 NAMES = [f"{kind}_{name}" for kind in KINDS for name in KINDS[kind].objects]
 
@@ -84,14 +101,20 @@ def capture(kind: str, make: Callable[[], list[Piece]], folder: Path, every: int
     names = ("image", "mask") if kind == "lab" else ("images", "masks")
     for name in (*names, "raw"):
         (folder / name).mkdir(parents=True, exist_ok=True)
-    rig, camera = KINDS[kind].rig(), developing.CAMERAS[kind]
+    made = KINDS[kind]
+    rig, camera = made.rig(), developing.CAMERAS[made.room]
     pieces, truth = standing(make())
+    floor = float(truth.bounds[0, 2])
     write_atomically(folder / "gt_mesh.ply", truth.export(file_type="ply"))
     write_cameras(kind, rig, folder)
+    below = None
+    if made.board:
+        below = board_below(floor)
+        write_frame(true_frame(), folder)
     # Not installed with the project.
     from blender_captures.rendering import Renderer
 
-    renderer = Renderer(kind, rig, pieces, floor=float(truth.bounds[0, 2]), border=camera.border, folder=folder / "raw")
+    renderer = Renderer(made.room, rig, pieces, below=below, floor=floor, border=camera.border, folder=folder / "raw")
     for index in range(0, len(rig.shots), every):
         name = f"{index:04d}"
         image, mask = folder / names[0] / f"{name}.jpg", folder / names[1] / f"{name}.png"
@@ -111,10 +134,10 @@ def write_cameras(kind: str, rig: rigs.Rig, folder: Path) -> None:
     if kind == "lab":
         write_atomically(folder / "cameras_sphere.npz", lambda file: np.savez(file, **rigs.idr_matrices(rig)))
         return
-    error = KINDS[kind].pose_error
+    camera, error = developing.CAMERAS[KINDS[kind].room], KINDS[kind].pose_error
     found = rigs.as_if_found(rig, error, seed=61) if error else rig
     names = [f"{index:04d}" for index in range(len(rig.shots))]
-    write_atomically(folder / "transforms.json", developing.transforms(found, developing.CAMERAS[kind], names))
+    write_atomically(folder / "transforms.json", developing.transforms(found, camera, names))
 
 
 if __name__ == "__main__":

@@ -50,6 +50,11 @@ def statue() -> list[Piece]:
     return [_piece(_statue, "old plaster")]
 
 
+def plain_statue() -> list[Piece]:
+    """The same of one colour: there is nothing on it by which photographs could be laid over each other."""
+    return [_piece(_statue, "plain")]
+
+
 def cape() -> list[Piece]:
     """A thin shell of gold, open above and below, with rows of bosses."""
     return [_piece(_cape, "gold", _grimy)]

@@ -33,8 +33,19 @@ LAYER = "ViewLayer"
 class Renderer:
     """An object in the room of its kind."""
 
-    def __init__(self, kind: str, rig: Rig, pieces: Sequence[Piece], *, floor: float, border: int, folder: Path):
-        """``floor`` is the height it stands on, ``border`` what is rendered beyond the image on each side, in pixels.
+    def __init__(
+        self,
+        room: str,
+        rig: Rig,
+        pieces: Sequence[Piece],
+        *,
+        below: Piece | None,
+        floor: float,
+        border: int,
+        folder: Path,
+    ):
+        """``below`` lies under the object and turns with it. ``floor`` is the height it stands on, ``border`` what is
+        rendered beyond the image on each side, in pixels.
 
         Images of textures are put into ``folder``, from where Blender takes them.
         """
@@ -54,8 +65,10 @@ class Renderer:
         cycles.denoiser, cycles.denoising_prefilter = "OPENIMAGEDENOISE", "FAST"
         grain = str(folder / "grain.png")
         write_grain(grain, seed=71)
-        self._room = ROOMS[kind](self._scene, floor, grain)
-        self._object = [_placed(self._scene, *look, folder, grain) for look in _by_look(pieces)]
+        self._room = ROOMS[room](self._scene, floor, grain)
+        self._object = [_placed(self._scene, *look, folder, grain, COVER) for look in _by_look(pieces)]
+        sheets = [] if below is None else [below]
+        self._below = [_placed(self._scene, sheet.paint, sheet.mesh, None, folder, grain, None) for sheet in sheets]
         self._camera = add_camera(self._scene, 2 * np.arctan(width / 2 / rig.focal))
 
     def shoot(self, index: int, file: Path, *, keep: bool) -> tuple[np.ndarray, np.ndarray]:
@@ -65,11 +78,12 @@ class Renderer:
         """
         if not file.exists():
             shot = self._rig.shots[index]
-            turn = turned(shot.turn)
             for thing in (self._camera, *self._room.with_camera):
-                put(thing, turn @ shot.pose)
-            for thing in (*self._object, *self._room.with_object):
-                put(thing, turn)
+                put(thing, shot.stand @ shot.pose)
+            for thing in self._object:
+                put(thing, shot.stand)
+            for thing in (*self._below, *self._room.with_object):
+                put(thing, turned(shot.turn))
             self._scene.cycles.seed = index
             shoot(self._scene, file)
         passes = read_passes(file)
@@ -90,7 +104,9 @@ def _by_look(pieces: Sequence[Piece]) -> list[tuple[str, trimesh.Trimesh, np.nda
     return looks + [(paint, trimesh.util.concatenate(meshes), None) for paint, meshes in plain.items()]
 
 
-def _placed(scene, paint: str, mesh: trimesh.Trimesh, tint: np.ndarray | None, folder: Path, grain: str):
+def _placed(
+    scene, paint: str, mesh: trimesh.Trimesh, tint: np.ndarray | None, folder: Path, grain: str, cover: str | None
+):
     image = None
     textured = mesh.visual.kind == "texture"
     if textured:
@@ -98,7 +114,7 @@ def _placed(scene, paint: str, mesh: trimesh.Trimesh, tint: np.ndarray | None, f
         picture = own.image if hasattr(own, "image") else own.baseColorTexture
         image = folder / f"texture{len(scene.objects)}.png"
         picture.convert("RGB").save(image)
-    look = material(paint, grain, cover=COVER, tinted=tint is not None, image=str(image) if image else None)
+    look = material(paint, grain, cover=cover, tinted=tint is not None, image=str(image) if image else None)
     made = add_mesh(scene, paint, mesh, look, smooth=True)
     if tint is not None:
         add_tint(made, tint)

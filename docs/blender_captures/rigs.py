@@ -14,6 +14,8 @@ from scipy.spatial.transform import Rotation
 WIDTH, HEIGHT = 640, 480
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 """Between the axes of OpenGL's cameras and those of OpenCV's."""
+FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
+"""Half a turn about x. An object whose box is centred stands on the same floor afterwards."""
 
 Pose = Float64[np.ndarray, "4 4"]
 Point = Float64[np.ndarray, " 3"]
@@ -26,6 +28,13 @@ class Shot:
     pose: Pose
     turn: float = 0.0
     """Radians by which the object, and the camera's pose with it, has been turned about z in the room."""
+    flipped: bool = False
+    """Whether the object stands on its head in the room."""
+
+    @property
+    def stand(self) -> Pose:
+        """From the object's frame to the room's."""
+        return turned(self.turn) @ FLIP if self.flipped else turned(self.turn)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -91,6 +100,18 @@ def turntable() -> Rig:
         for i in range(30):
             turn = 2 * math.pi * i / 30
             shots.append(Shot(pose=turned(-turn) @ still, turn=turn))
+    return Rig(focal=760.0, shots=tuple(shots))
+
+
+def twice() -> Rig:
+    """A turntable with cameras 26 degrees apart in height, and all of it again with the object on its head."""
+    shots = []
+    for flipped in (False, True):
+        for elevation, count in ((10, 24), (36, 18)):
+            still = looking(around(3.3, 0, elevation), np.zeros(3))
+            for i in range(count):
+                shot = Shot(pose=still, turn=2 * math.pi * i / count, flipped=flipped)
+                shots.append(replace(shot, pose=np.linalg.inv(shot.stand) @ still))
     return Rig(focal=760.0, shots=tuple(shots))
 
 

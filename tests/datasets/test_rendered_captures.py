@@ -10,11 +10,16 @@ import pytest
 from blender_captures import developing, rigs
 from blender_captures.exr import read_passes
 from blender_captures.parts import Piece, standing
+from blender_captures.printed_board import BOARD, METRES, THICK, board_below, true_frame
 from make_captures import KINDS, write_cameras
 from trimesh import Trimesh
 from trimesh.creation import icosphere
 from trimesh.util import concatenate
+from trimesh.visual import TextureVisuals
+from trimesh.visual.material import SimpleMaterial
 
+from sculpt_framework.markers.boards import board_of
+from sculpt_framework.markers.detection import find_board
 from sculpt_framework.posed_images.distortion import distorted_pixels
 from sculpt_framework.posed_images.lens import Pinhole
 from sculpt_plugins.datasets.idr.cameras import ball_box, placed_camera, read_matrices
@@ -27,7 +32,9 @@ def _inside(pixels: np.ndarray) -> np.ndarray:
     return ((pixels >= 0) & (pixels <= (rigs.WIDTH, rigs.HEIGHT))).all(axis=1)
 
 
-@pytest.mark.parametrize(("kind", "count"), [("lab", 49), ("phone", 42), ("turntable", 60), ("museum", 46)])
+@pytest.mark.parametrize(
+    ("kind", "count"), [("lab", 49), ("phone", 42), ("turntable", 60), ("museum", 46), ("flipped", 84)]
+)
 def test_every_view_shows_the_object_and_only_the_lab_cuts_it(kind: str, count: int):
     rig = KINDS[kind].rig()
     assert len(rig.shots) == count
@@ -62,6 +69,36 @@ def test_a_turntable_stands_still_in_its_room():
     gaps = np.linalg.norm(poses - np.roll(poses, 1, axis=0), axis=1)
     assert np.ptp(gaps) < 1e-12
     assert gaps[0] > 0.5
+
+
+def test_a_flipped_object_stands_on_its_head_before_cameras_that_stand_still():
+    rig = rigs.twice()
+    in_room = np.stack([shot.stand @ shot.pose for shot in rig.shots])
+    for first, last in ((0, 24), (24, 42), (42, 66), (66, 84)):
+        assert np.abs(in_room[first:last] - in_room[first]).max() < 1e-12
+    top = np.array([0, 0, 1, 1.0])
+    heights = [(shot.stand @ top)[2] for shot in rig.shots]
+    np.testing.assert_allclose(heights, [1.0] * 42 + [-1.0] * 42, atol=1e-12)
+    # The second time it is seen from below.
+    assert all((shot.pose[2, 3] < 0) == shot.flipped for shot in rig.shots)
+
+
+def test_the_board_below_an_object_is_the_one_that_is_searched_for():
+    piece, board = board_below(-0.8), board_of(BOARD)
+    visual = piece.mesh.visual
+    assert isinstance(visual, TextureVisuals)
+    assert isinstance(visual.material, SimpleMaterial)
+    image = np.asarray(visual.material.image)
+    seen = find_board(image, board)
+    assert len(seen.points) == len(board.points())
+    # From pixels to the sheet's corners, by which its texture is laid on.
+    shares = seen.pixels / (image.shape[1], image.shape[0]) * (1, -1) + (0, 1)
+    corners = np.asarray(piece.mesh.vertices)
+    placed = corners[0] + shares[:, :1] * (corners[1] - corners[0]) + shares[:, 1:] * (corners[3] - corners[0])
+    cos, sin = np.cos(0.3), np.sin(0.3)
+    true = board.points()[seen.points] / METRES @ np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]])
+    np.testing.assert_allclose(placed, true + np.array([0, 0, -0.8 + THICK]), atol=2e-3)
+    assert true_frame().metres_per_unit == METRES
 
 
 def test_idr_matrices_are_read_as_the_cameras_they_were_written_from(tmp_path: Path):

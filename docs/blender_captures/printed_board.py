@@ -17,7 +17,8 @@ BOARD = "ring-7x6-28"
 """Its free place is 1.8 x 1.4 of these."""
 PAPER, MARGIN = "a3", 8.0
 """The sheet is cut so many millimetres beyond the markers."""
-THICK = 0.002
+THICK = 0.004
+"""Above the marks on a turntable's plate."""
 COARSER = 4
 """The print has 5 pixels to the millimetre, which is finer than any photograph."""
 

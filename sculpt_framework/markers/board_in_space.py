@@ -4,11 +4,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, UInt8
 
 from sculpt_framework.errors import DataError
 from sculpt_framework.markers.boards import MILLIMETRE, Board
-from sculpt_framework.markers.detection import Sighting
+from sculpt_framework.markers.detection import Sighting, find_board
+from sculpt_framework.markers.shrinking import without_shrinking
 from sculpt_framework.markers.similarity import Similarity, fit_similarity
 from sculpt_framework.markers.triangulation import SpacePoints, triangulate
 from sculpt_framework.types import Camera
@@ -101,20 +102,23 @@ def board_in_space(board: Board, cameras: Sequence[Camera], sightings: Sequence[
     )
 
 
-def find_in_all(count: int, find: Callable[[int], Sighting], progress: Callable[[float], None]) -> list[Sighting]:
-    """``find`` for each of so many photographs, in threads; ``progress`` hears which share is done."""
+def find_in_all(
+    count: int, read: Callable[[int], UInt8[np.ndarray, "h w"]], board: Board, progress: Callable[[float], None]
+) -> list[Sighting]:
+    """The board in each of so many photographs, in threads; ``progress`` hears which share is done."""
     # What imports torch is imported where it is needed.
     from sculpt_framework.threads import in_threads
 
     done: list[int] = []
 
     def one(index: int) -> Sighting:
-        sighting = find(index)
+        sighting = find_board(read(index), board)
         done.append(index)
         progress(len(done) / count)
         return sighting
 
-    return in_threads(one, range(count))
+    found = in_threads(one, range(count))
+    return without_shrinking(board, found) if board.kind == "ring" else found
 
 
 def check_sightings(board: Board, sightings: Sequence[Sighting]) -> None:

@@ -18,8 +18,9 @@ _CORNERS = 8
 _OUTSIDE, _SIGMA, _NOISE = 3.5, 1.4826, 0.3
 _SHARE = 0.7
 """Of the points that must fit."""
-_GAIN = 10.0
-"""By how much the information criterion must fall for a lens with more parameters to be taken."""
+_GAIN = 20.0
+"""By how much the information criterion must fall for a lens with more parameters to be taken. It takes corners for
+independent; those of one marker err together."""
 _SURE_FOCAL, _SURE_CENTER = 0.01, 0.005
 """Standard errors, of the focal length relative and of the principal point in lengths of the image's side, beyond which
 they do not count as known."""

@@ -11,7 +11,7 @@ from sculpt_framework.errors import ConfigError, DataError
 from sculpt_framework.frame import WorldFrame, cameras_told
 from sculpt_framework.markers.board_in_space import BoardInSpace, board_in_space, find_in_all
 from sculpt_framework.markers.boards import MILLIMETRE, Board, board_of
-from sculpt_framework.markers.detection import Sighting, find_board
+from sculpt_framework.markers.detection import Sighting
 from sculpt_framework.markers.triangulation import triangulate
 from sculpt_framework.types import Scene, View
 
@@ -134,7 +134,7 @@ def _find_boards(
 
 
 def _sightings(views: Sequence[View], board: Board, progress: Callable[[float], None]) -> list[Sighting]:
-    return find_in_all(len(views), lambda index: find_board(grey_pixels(views[index]), board), progress)
+    return find_in_all(len(views), lambda index: grey_pixels(views[index]), board, progress)
 
 
 def _by_boards(found: Sequence[BoardInSpace]) -> tuple[float | None, float | None]:

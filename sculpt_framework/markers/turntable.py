@@ -10,7 +10,7 @@ from sculpt_framework.markers.board_in_space import check_sightings, find_in_all
 from sculpt_framework.markers.board_pose import BoardPose, pose_from_board
 from sculpt_framework.markers.boards import MILLIMETRE, Board
 from sculpt_framework.markers.calibration import BoardLens, calibrate, known_lens
-from sculpt_framework.markers.detection import Sighting, find_board
+from sculpt_framework.markers.detection import Sighting
 from sculpt_framework.markers.photographs import Photograph, read_grey
 
 _LEAST = 3
@@ -43,7 +43,7 @@ def pose_by_board(
     """
     if board.kind == "single":
         raise ConfigError(f"--board {board.name}: single markers lie anywhere; give a charuco or a ring board.")
-    sightings = find_in_all(len(photographs), lambda at: find_board(read_grey(photographs[at]), board), progress)
+    sightings = find_in_all(len(photographs), lambda at: read_grey(photographs[at]), board, progress)
     check_sightings(board, sightings)
     points = board.points()
     posed, left_out, lines, failures = [], {}, [], []

@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Int64
 
-from sculpt_framework.errors import ComponentImportError
+from sculpt_framework.errors import ComponentImportError, DataError
+from sculpt_framework.posed_images.distortion import Distortion, rectify
+from sculpt_framework.posed_images.lens import Pinhole
 from sculpt_framework.posing.options import PosingOptions
 
 if TYPE_CHECKING:
@@ -146,11 +148,12 @@ def matched(database: Path) -> Matched:
 
 
 def map_images(
-    database: Path, images: Path, folder: Path, options: PosingOptions, tell: Tell
+    database: Path, images: Path, folder: Path, options: PosingOptions, tell: Tell, *, hold_lens: bool = False
 ) -> "list[pycolmap.Reconstruction]":
     """Incremental mapping; the models that could not be joined, the one with most images first. None: no model.
 
-    Models of fewer than three images, and those that have no image of their own, are left out.
+    Models of fewer than three images, and those that have no image of their own, are left out. With ``hold_lens``
+    lenses stay as they are in the database: of the focal length that EXIF says, or a usual one, and straight.
     """
     import pycolmap
 
@@ -161,6 +164,9 @@ def map_images(
     mapping.num_threads = mapping.mapper.num_threads = 1
     mapping.min_model_size = _SMALLEST_MODEL
     mapping.max_num_models = _MOST_MODELS
+    if hold_lens:
+        mapping.ba_refine_focal_length = mapping.ba_refine_extra_params = False
+        mapping.mapper.abs_pose_refine_focal_length = mapping.mapper.abs_pose_refine_extra_params = False
     folder.mkdir(parents=True, exist_ok=True)
     count = len(matched(database).features)
     placed = 0
@@ -190,6 +196,18 @@ def map_images(
             pieces.append(model)
             seen |= own
     return pieces
+
+
+def diverged(model: "pycolmap.Reconstruction") -> bool:
+    """Whether a lens of it bends images as no lens does: then its poses are wrong, too."""
+    for lens in model.cameras.values():
+        focal, x, y, bend = lens.params
+        pinhole, distortion = Pinhole(fx=focal, fy=focal, cx=x, cy=y), Distortion(coefficients=(bend, 0.0, 0.0, 0.0))
+        try:
+            rectify(pinhole, distortion, lens.width, lens.height, "")
+        except DataError:
+            return True
+    return False
 
 
 def refined(model: "pycolmap.Reconstruction") -> "pycolmap.Reconstruction":

@@ -19,6 +19,7 @@ import sculpt_framework
 from sculpt_framework.cli.data import data
 from sculpt_framework.cli.exit_codes import run
 from sculpt_framework.errors import DataError
+from sculpt_framework.posing import colmap
 from sculpt_framework.posing.announcer import Announcer
 from sculpt_framework.posing.options import PosingOptions
 from sculpt_framework.posing.outcome import read_outcome
@@ -122,6 +123,28 @@ def test_a_principal_point_off_the_middle_is_found_where_views_tell(
 
 
 @pytest.mark.slow
+def test_a_lens_that_cannot_be_told_is_held_straight_and_that_is_said(
+    taken: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(colmap, "diverged", lambda model: True)
+    heard = Noted()
+    outcome = pose(taken, tmp_path / "scene", PosingOptions(threads=2), heard)
+    assert "placing cameras again, with a straight lens" in heard.steps
+    assert any(note.startswith("the lens cannot be told") for note in outcome.notes)
+    model = pycolmap.Reconstruction(tmp_path / "scene" / "sparse" / "0")
+    (lens,) = model.cameras.values()
+    assert lens.params.tolist() == [1.2 * max(lens.width, lens.height), lens.width / 2, lens.height / 2, 0.0]
+    assert outcome.registered == len(ANGLES)
+
+
+@pytest.mark.parametrize(("bend", "wrong"), [(-0.07, False), (0.1, False), (-0.94, True)])
+def test_a_lens_that_folds_the_image_is_none(bend: float, wrong: bool):
+    model = pycolmap.Reconstruction()
+    lens = pycolmap.Camera(model="SIMPLE_RADIAL", width=640, height=480, params=[965.0, 320, 240, bend], camera_id=1)
+    model.add_camera(lens)
+    assert colmap.diverged(model) == wrong
+
+
 def test_a_photograph_of_something_else_is_left_out(taken: Path, tmp_path: Path):
     shots = photographs(ANGLES)
     save(shots, tmp_path / "in")

@@ -61,7 +61,7 @@ KINDS = {
     ),
     "board": Kind(room="phone", rig=rigs.phone, objects={"box": printed.box_and_mug}, board=True),
     "plate": Kind(room="turntable", rig=rigs.turntable, objects={"statue": carvings.plain_statue}, board=True),
-    "flipped": Kind(room="turntable", rig=rigs.twice, objects={"statue": carvings.statue}),
+    "flipped": Kind(room="turntable", rig=rigs.twice, objects={"box": printed.box_and_mug}),
 }
 NAMES = [f"{kind}_{name}" for kind in KINDS for name in KINDS[kind].objects]
 

@@ -148,12 +148,12 @@ def matched(database: Path) -> Matched:
 
 
 def map_images(
-    database: Path, images: Path, folder: Path, options: PosingOptions, tell: Tell, *, hold_lens: bool = False
+    database: Path, images: Path, folder: Path, options: PosingOptions, tell: Tell, *, straight: bool = False
 ) -> "list[pycolmap.Reconstruction]":
     """Incremental mapping; the models that could not be joined, the one with most images first. None: no model.
 
-    Models of fewer than three images, and those that have no image of their own, are left out. With ``hold_lens``
-    lenses stay as they are in the database: of the focal length that EXIF says, or a usual one, and straight.
+    Models of fewer than three images, and those that have no image of their own, are left out. ``straight``
+    lenses have a focal length, and no distortion.
     """
     import pycolmap
 
@@ -164,9 +164,8 @@ def map_images(
     mapping.num_threads = mapping.mapper.num_threads = 1
     mapping.min_model_size = _SMALLEST_MODEL
     mapping.max_num_models = _MOST_MODELS
-    if hold_lens:
-        mapping.ba_refine_focal_length = mapping.ba_refine_extra_params = False
-        mapping.mapper.abs_pose_refine_focal_length = mapping.mapper.abs_pose_refine_extra_params = False
+    if straight:
+        mapping.ba_refine_extra_params = mapping.mapper.abs_pose_refine_extra_params = False
     folder.mkdir(parents=True, exist_ok=True)
     count = len(matched(database).features)
     placed = 0

@@ -16,13 +16,13 @@ def join(
     images: Path,
     work: Path,
     *,
-    hold_lens: bool = False,
+    straight: bool = False,
 ) -> "list[pycolmap.Reconstruction]":
     """The models, the first with all those that can be laid over it, the others as they are.
 
     The similarity between two is that by which features of the photographs they share reproject into the other. Points
-    are then triangulated anew from the matches of all photographs, and everything is adjusted together, but lenses with
-    ``hold_lens``. ``work`` is a folder for intermediate files.
+    are then triangulated anew from the matches of all photographs, and everything is adjusted together, of ``straight``
+    lenses all but the distortion. ``work`` is a folder for intermediate files.
     """
     if len(models) < 2:
         return list(models)
@@ -42,7 +42,7 @@ def join(
     whole = pycolmap.triangulate_points(whole, database, images, work, clear_points=True, options=options)
     adjustment = pycolmap.BundleAdjustmentOptions()
     adjustment.print_summary = False
-    adjustment.refine_focal_length = adjustment.refine_extra_params = not hold_lens
+    adjustment.refine_extra_params = not straight
     adjustment.ceres.solver_options.num_threads = 1
     pycolmap.bundle_adjustment(whole, adjustment)
     whole.update_point_3d_errors()

@@ -35,10 +35,10 @@ if TYPE_CHECKING:
 WORK = ".posing"
 """Folder of the database and of what is known between calls, inside the scene."""
 PICTURE = "posing.png"
-_LENS_HELD = (
-    "the lens cannot be told from these photographs; it is taken to be straight, with the focal length of EXIF or 1.2 "
-    "times the longer side, and the cameras may be wrong. Photographs nearer to the object tell more, or whole ones "
-    "(--ignore-masks) where the surroundings do not move against it."
+_STRAIGHT = (
+    "the distortion of the lens cannot be told from these photographs; it is taken to be straight, and the cameras may "
+    "be wrong. Photographs nearer to the object tell more, or whole ones (--ignore-masks) where the surroundings do not "
+    "move against it."
 )
 
 
@@ -127,24 +127,24 @@ def _carry_out(at_work: _Posing, found: Photographs | None) -> Outcome:
     named = [(by_name[first], by_name[second]) for first, second in pairs]
     colmap.match(database, named, options, at_work.tell("matching pairs"))
     at_work.keep(at_work.state)
-    for name in ("models", "held"):
+    for name in ("models", "straight"):
         shutil.rmtree(work / name, ignore_errors=True)
     pieces = colmap.map_images(database, images, work / "models", options, at_work.tell("placing cameras"))
-    lens_held = bool(pieces) and colmap.diverged(pieces[0])
-    if lens_held:
+    straight = bool(pieces) and colmap.diverged(pieces[0])
+    if straight:
         again = at_work.tell("placing cameras again, with a straight lens")
-        pieces = colmap.map_images(database, images, work / "held", options, again, hold_lens=True)
-    models = join(pieces, database, images, work / "joined", hold_lens=lens_held)
+        pieces = colmap.map_images(database, images, work / "straight", options, again, straight=True)
+    models = join(pieces, database, images, work / "joined", straight=straight)
     seen = colmap.matched(database)
     if not models:
         raise nothing_placed(at_work.data, seen, len(lenses.unreadable), masks is not None)
-    model = models[0] if lens_held else colmap.refined(models[0])
+    model = models[0] if straight else colmap.refined(models[0])
     left_out = reasons(seen, [sorted(colmap.world_to_cameras(each)) for each in models])
     notes = (*photographs.notes, *lenses.notes)
     if masks is not None:
         notes = (*notes, f"features are those inside the masks of {sum(m is not None for m in photographs.masks)}.")
-    if lens_held:
-        notes = (*notes, _LENS_HELD)
+    if straight:
+        notes = (*notes, _STRAIGHT)
     if len(models) < len(pieces):
         notes = (*notes, f"{len(pieces)} pieces, of which {len(pieces) - len(models) + 1} are laid over each other.")
     outcome = Outcome(

@@ -152,8 +152,8 @@ def map_images(
 ) -> "list[pycolmap.Reconstruction]":
     """Incremental mapping; the models that could not be joined, the one with most images first. None: no model.
 
-    Models of fewer than three images, and those that have no image of their own, are left out. ``straight``
-    lenses have a focal length, and no distortion.
+    Models of fewer than three images, and those that have no image of their own, are left out. Lenses that
+    are ``straight`` have a focal length and no distortion.
     """
     import pycolmap
 

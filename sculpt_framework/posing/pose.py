@@ -37,8 +37,8 @@ WORK = ".posing"
 PICTURE = "posing.png"
 _STRAIGHT = (
     "the distortion of the lens cannot be told from these photographs; it is taken to be straight, and the cameras may "
-    "be wrong. Photographs nearer to the object tell more, or whole ones (--ignore-masks) where the surroundings do not "
-    "move against it."
+    "be wrong. Photographs nearer to the object tell more, or whole ones (--ignore-masks) where the surroundings do "
+    "not move against it."
 )
 
 

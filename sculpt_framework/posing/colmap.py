@@ -27,6 +27,11 @@ _MOST_TRIALS = 2000
 """Of RANSAC: finds a pair whose matches are right by a third. COLMAP's 10000 mostly go to hopeless ones."""
 _SMALLEST_MODEL = 3
 _MOST_MODELS = 10
+_SHARES, _ALWAYS = (0.5, 0.25, 0.12, 0.0), 2
+"""Of the matches that an image usually has with its best partner: pairs with at least so many are used, in stages. The
+first two close rings; the others are for images that are not placed by then."""
+_FEWEST_MATCHES = 15
+"""Of a pair that is used at all."""
 _LENS = "SIMPLE_RADIAL"
 """A focal length and one coefficient of distortion: what a ring of views determines."""
 _WORTH_IT = 0.998
@@ -45,6 +50,13 @@ class Matched:
     features: dict[str, int]
     partners: dict[str, int]
     """Photographs it has verified matches with."""
+    best: dict[str, int]
+    """Matches with the one of them that it has most with."""
+
+    def fewest(self, share: float = _SHARES[_ALWAYS - 1]) -> int:
+        """Matches of a pair that has at least such a share of what is usual for best partners."""
+        usual = np.median([most for most in self.best.values() if most] or [0])
+        return max(_FEWEST_MATCHES, round(share * float(usual)))
 
 
 def require_pycolmap(
@@ -139,12 +151,14 @@ def matched(database: Path) -> Matched:
     features = {name: opened.num_keypoints_for_image(number) for number, name in images.items()}
     pairs, inliers = opened.read_two_view_geometry_num_inliers()
     opened.close()
-    partners = dict.fromkeys(images.values(), 0)
+    partners, best = dict.fromkeys(images.values(), 0), dict.fromkeys(images.values(), 0)
     for pair, count in zip(pairs, inliers, strict=True):
         if count > 0:
             for number in pycolmap.pair_id_to_image_pair(pair):
-                partners[images[number]] += 1
-    return Matched(features=features, partners=partners)
+                name = images[number]
+                partners[name] += 1
+                best[name] = max(best[name], int(count))
+    return Matched(features=features, partners=partners, best=best)
 
 
 def map_images(
@@ -152,9 +166,28 @@ def map_images(
 ) -> "list[pycolmap.Reconstruction]":
     """Incremental mapping; the models that could not be joined, the one with most images first. None: no model.
 
-    Models of fewer than three images, and those that have no image of their own, are left out. Lenses that
-    are ``straight`` have a focal length and no distortion.
+    By pairs of images with many matches first: those that look alike without being the same place (the sides of a box,
+    an object on a turntable under lamps that stand still) have fewer, and find the others placed already.
+    Models of fewer than three images, and those that have no image of their own, are left out. Lenses that are
+    ``straight`` have a focal length and no distortion.
     """
+    known = matched(database)
+    pieces: list[pycolmap.Reconstruction] = []
+    for stage, share in enumerate(_SHARES):
+        if stage >= _ALWAYS and pieces and pieces[0].num_reg_images() == len(known.features):
+            break
+        mapping = _mapping(options, known.fewest(share), straight=straight)
+        begun = folder / f"begun {stage}"
+        if pieces:
+            begun.mkdir(parents=True)
+            pieces[0].write(begun)
+        out = folder / f"{stage}"
+        out.mkdir(parents=True)
+        pieces = _map(database, images, out, mapping, begun if pieces else None, len(known.features), tell) or pieces
+    return pieces
+
+
+def _mapping(options: PosingOptions, fewest: int, *, straight: bool) -> "pycolmap.IncrementalPipelineOptions":
     import pycolmap
 
     pycolmap.set_random_seed(options.seed)
@@ -162,13 +195,27 @@ def map_images(
     mapping.random_seed = mapping.mapper.random_seed = mapping.triangulation.random_seed = options.seed
     # With more threads the same matches give one of several models, from run to run.
     mapping.num_threads = mapping.mapper.num_threads = 1
+    mapping.min_num_matches = fewest
     mapping.min_model_size = _SMALLEST_MODEL
     mapping.max_num_models = _MOST_MODELS
     if straight:
         mapping.ba_refine_extra_params = mapping.mapper.abs_pose_refine_extra_params = False
-    folder.mkdir(parents=True, exist_ok=True)
-    count = len(matched(database).features)
-    placed = 0
+    return mapping
+
+
+def _map(
+    database: Path,
+    images: Path,
+    folder: Path,
+    mapping: "pycolmap.IncrementalPipelineOptions",
+    begun: Path | None,
+    count: int,
+    tell: Tell,
+) -> "list[pycolmap.Reconstruction]":
+    """The model in ``begun`` with more images, where there is one, and further ones."""
+    import pycolmap
+
+    placed = 0 if begun is None else pycolmap.Reconstruction(begun).num_reg_images()
 
     def place(more: int) -> None:
         # Models begin anew with images that others have, so the count may go beyond all of them.
@@ -176,12 +223,13 @@ def map_images(
         placed = min(placed + more, count)
         tell(placed, count)
 
-    tell(0, count)
+    tell(placed, count)
     models = pycolmap.incremental_mapping(
         database,
         images,
         folder,
         mapping,
+        input_path="" if begun is None else begun,
         initial_image_pair_callback=lambda: place(2),
         next_image_callback=lambda: place(1),
     )

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from sculpt_framework.posing.colmap import matched
+
 if TYPE_CHECKING:
     import pycolmap
 
@@ -38,6 +40,7 @@ def join(
         return list(models)
     options = pycolmap.IncrementalPipelineOptions()
     options.num_threads = 1
+    options.min_num_matches = matched(database).fewest()
     work.mkdir(parents=True, exist_ok=True)
     whole = pycolmap.triangulate_points(whole, database, images, work, clear_points=True, options=options)
     adjustment = pycolmap.BundleAdjustmentOptions()

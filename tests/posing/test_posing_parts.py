@@ -11,6 +11,7 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from sculpt_framework.errors import ComponentImportError, ConfigError, DataError, OutputError
+from sculpt_framework.posing import colmap
 from sculpt_framework.posing.announcer import Announcer
 from sculpt_framework.posing.colmap import Matched
 from sculpt_framework.posing.lenses import sort_by_lens
@@ -262,7 +263,9 @@ def test_lenses_go_by_size_focal_length_and_folder(tmp_path: Path):
 def test_each_photograph_left_out_has_its_reason():
     features = {"placed": 900, "also": 900, "elsewhere": 900, "blank": 3, "alone": 900, "weak": 900}
     partners = {"placed": 5, "also": 5, "elsewhere": 2, "blank": 0, "alone": 0, "weak": 2}
-    why = reasons(Matched(features=features, partners=partners), [["placed", "also"], ["elsewhere", "also"]])
+    why = reasons(
+        Matched(features=features, partners=partners, best=partners), [["placed", "also"], ["elsewhere", "also"]]
+    )
     assert set(why) == {"elsewhere", "blank", "alone", "weak"}
     assert "piece 2" in why["elsewhere"]
     assert "blurred" in why["blank"]
@@ -271,8 +274,8 @@ def test_each_photograph_left_out_has_its_reason():
 
 
 def test_what_would_help_follows_what_was_seen():
-    blank = Matched(features=dict.fromkeys("abc", 4), partners=dict.fromkeys("abc", 0))
-    apart = Matched(features=dict.fromkeys("abc", 4000), partners=dict.fromkeys("abc", 0))
+    blank = Matched(features=dict.fromkeys("abc", 4), partners=dict.fromkeys("abc", 0), best={})
+    apart = Matched(features=dict.fromkeys("abc", 4000), partners=dict.fromkeys("abc", 0), best={})
     assert "sharper" in str(nothing_placed(Path("p"), blank, 0, False))
     assert "more overlap" in str(nothing_placed(Path("p"), apart, 0, False))
     assert "--ignore-masks" in str(nothing_placed(Path("p"), apart, 0, True))
@@ -344,3 +347,50 @@ def test_a_similarity_and_the_errors_left_are_found():
     assert looked_at(known) == pytest.approx(np.zeros(3), abs=1e-9)
     mirrored = similarity(centers(known), centers(known) * [1, 1, -1])
     assert np.linalg.det(mirrored.rotation) == pytest.approx(1)
+
+
+class _Model:
+    def __init__(self, placed: int):
+        self.placed = placed
+
+    def num_reg_images(self) -> int:
+        return self.placed
+
+    def write(self, folder: Path) -> None:
+        assert folder.is_dir()
+
+
+@pytest.mark.parametrize(
+    ("placed", "stages"),
+    [
+        # All are placed by pairs with half of the usual matches; a quarter of them still closes rings.
+        ([5, 5], [100, 50]),
+        ([3, 4, 5], [100, 50, 24]),
+        # One that nothing shows.
+        ([4, 4, 4, 4], [100, 50, 24, 15]),
+        # Too few strong pairs for a model.
+        ([0, 5], [100, 50]),
+    ],
+)
+def test_pairs_with_many_matches_place_photographs_first(
+    placed: list[int], stages: list[int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    pytest.importorskip("pycolmap")
+    best = {"a": 100, "b": 200, "c": 200, "d": 900, "e": 0}
+    known = Matched(features=dict.fromkeys(best, 4000), partners=dict.fromkeys(best, 2), best={**best, "f": 200})
+    taken, begun = [], []
+
+    def mapped(database, images, folder, mapping, model, count, tell):
+        taken.append(mapping.min_num_matches)
+        begun.append(model)
+        now = placed[len(taken) - 1]
+        return [_Model(now)] if now else []
+
+    monkeypatch.setattr(colmap, "matched", lambda database: known)
+    monkeypatch.setattr(colmap, "_map", mapped)
+    (last,) = colmap.map_images(tmp_path / "db", tmp_path, tmp_path / "models", PosingOptions(), lambda done, of: None)
+    assert taken == stages
+    assert isinstance(last, _Model)
+    assert last.placed == placed[-1]
+    assert begun[0] is None
+    assert (begun[1] is None) == (placed[0] == 0)

@@ -52,15 +52,15 @@ def gsdf() -> GsdfConfig:
         rates=splats.rates,
         field_from=0.33,  # program: step 15 000 of 45 000
         guidance=GuidanceConfig(
-            reach=4.0,  # 3.2.1, k
+            reach=4.0,  # 3.2.1, k, of the first version; the second has nested reaches of 3 and 1
             samples=24,  # program: 64
-            sigma=0.05,  # 3.2.2, sigma; ours
-            growing=5e-5,  # 3.2.2, omega_g; program: 2e-4, of anchors; with it all of ours would be cloned
-            pruning=0.1,  # 3.2.2, omega_p; ours
+            sigma=0.1,  # 3.2.2; supplement: a variance of 0.005, of objects with half a side of 0.7
+            growing=5e-5,  # 3.2.2, omega_g; program: 1.5e-4, of anchors; with it all of ours would be cloned
+            pruning=0.1,  # 3.2.2, omega_p; program: 1, of the sum over an anchor's ten Gaussians
         ),
         rays=_rays(rays),
         agreement=AgreementConfig(
-            depth=0.01,  # 3.2.3; program
+            depth=0.01,  # 3.2.3; program, for DTU; supplement: 0.5
             normal=0.01,  # 3.2.3; program
         ),
         radiance=rays.radiance,

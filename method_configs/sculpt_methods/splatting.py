@@ -100,20 +100,20 @@ def relightable() -> RelightableConfig:
         sh_degree=like.sh_degree,
         sh_every=like.sh_every,
         dssim=like.dssim,
-        density=like.density,  # the paper's also takes gradients by the normals
+        density=like.density,  # program: until step 10 000 of 40 000; the paper's also takes normals' pull
         rates=like.rates,
         normal=0.01,  # program: lambda_normal_render_depth
         spread=0.01,  # program: lambda_depth_var
         mask=0.1,  # program: lambda_mask_entropy
         materials_from=0.75,  # program: step 30 000 of 40 000
         shaded=1.0,  # program: lambda_pbr
-        white=0.01,  # program: lambda_light
+        white=0.01,  # program: lambda_light, of the diffuse light at each Gaussian; here of the harmonics
         material_rates=MaterialRates(
             normals=1e-2,  # program
             albedo=1e-2,  # program
             roughness=1e-2,  # program
             visibility=2.5e-3,  # program
-            light=1e-2,  # program: 0.1 and 1e-3, of the constant harmonic and of the others
+            light=1e-2,  # ours; program: 0.1, of a map of 16 x 32 pixels
         ),
         rasterizer=like.rasterizer,
         extractor=like.extractor,
@@ -138,7 +138,7 @@ def sugar() -> SugarConfig:
         entropy=0.1,  # program
         surface_from=0.6,  # 5: step 9000 of 15 000
         clear=0.5,  # 5
-        distance=0.2,  # program
+        distance=0.5,  # program: 2 by the cameras' spread, here of some four object units
         normals=0.2,  # program
         samples=4096,  # program: 1 000 000
         poisson=PoissonConfig(
@@ -163,9 +163,10 @@ def gof() -> GofConfig:
         sh_degree=like.sh_degree,
         sh_every=like.sh_every,
         dssim=like.dssim,
-        density=like.density,  # 3.3: by the sum of the gradients' lengths in pixels; here as 3DGS
+        # 3.3: by the sum of the gradients' lengths in pixels; here as 3DGS. Program: until step 15 000 of 30 000.
+        density=replace(like.density, end=0.5, least_opacity=0.05),
         rates=like.rates,
-        distortion=100.0,  # program, of bounded scenes
+        distortion=100.0,  # program; 1000 for DTU
         distortion_from=0.5,  # program: step 15 000 of 30 000
         normals=0.05,  # program
         normals_from=0.5,  # program: step 15 000 of 30 000

@@ -22,6 +22,8 @@ from sculpt_framework.volume_rendering.volume import Places, places_along
 
 COVERED = 0.5
 """Opacity of a pixel from which on it has a depth and a normal."""
+_APART = 0.1
+"""Object units: depths that differ by more are not compared."""
 _NOTEWORTHY = 0.02
 """Share of what a ray brings from which on a place is asked for its normal: six values of the field each."""
 
@@ -108,13 +110,15 @@ class Guide(nn.Module, ABC):
     def _apart(
         self, shown: Shown, places: Places, through: Float[Tensor, " r"]
     ) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
-        """Mean difference of depths, and 1 - cosine of normals, over the rays that both cover."""
+        """Mean difference of depths, and 1 - cosine of normals, over the rays that both cover. Depths that lie farther
+        apart are of two surfaces, or a mean over both, and teach nothing (GSDF's program)."""
         alpha = 1 - through
         both = shown.covered & (alpha.detach() > COVERED)
         depth = mean_of(places.bring(places.distance[:, None])[:, 0], alpha, both)
         noteworthy = places.those(places.weight.detach() > _NOTEWORTHY)
         normal = noteworthy.bring(slopes(self.volume.field, noteworthy.points, self._spacing))
         apart = torch.where(both, (depth - shown.mean_depth).abs(), 0.0)
+        apart = torch.where(apart < _APART, apart, 0.0)
         unlike = torch.where(both, 1 - cosine(normal, shown.normal), 0.0)
         count = both.sum().clamp(min=1)
         return apart.sum() / count, unlike.sum() / count

@@ -19,7 +19,7 @@ class GuidanceConfig:
     the field has there."""
     samples: Annotated[int, at_least(4)] = 24
     """Stretches of a ray within that reach."""
-    sigma: Annotated[float, above(0)] = 0.05
+    sigma: Annotated[float, above(0)] = 0.1
     """Object units: how far from the field's zero Gaussians count as near it."""
     growing: Annotated[float, at_least(0)] = 5e-5
     """The paper's omega_g: what the pull at a Gaussian on the field's zero is raised by, in half images."""

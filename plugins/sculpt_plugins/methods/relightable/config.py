@@ -38,7 +38,8 @@ class RelightableConfig(FreeGaussiansConfig):
     normal: Annotated[float, at_least(0)] = 0.01
     """Factor of the mean squared difference between normals and those of the depths."""
     spread: Annotated[float, at_least(0)] = 0.01
-    """Factor of the mean variance of the depth at a pixel, in squared object units."""
+    """Factor of the mean standard deviation of the depth at a pixel, in object units; it grows to a hundred times that
+    until a third of the way to the materials."""
     mask: Annotated[float, at_least(0)] = 0.1
     """Factor of the cross entropy between masks, where there are any, and coverage."""
     materials_from: Annotated[float, between(0, 1)] = 0.75

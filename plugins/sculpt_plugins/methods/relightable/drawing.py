@@ -23,6 +23,10 @@ _COVERED = 0.5
 """Opacity of a pixel from which on it has a depth."""
 _WHITE = 2 * math.sqrt(math.pi)
 """Of the constant harmonic, for a radiance of 1 from everywhere."""
+_LEAST_SPREAD = 1e-6
+"""Squared object units: below it the root of a variance has no slope to use (program)."""
+_GROWTH = 6.0
+"""Powers of ten by which the term of the spread would grow until materials begin; it stays at two (program)."""
 _VISIBLE = 0.9
 """Share of the light that arrives, to begin with."""
 
@@ -87,9 +91,12 @@ class RelightableDrawing(Drawing):
         covered = drawn.alpha.detach() > _COVERED
         depth, spread = mean_and_variance(drawn.depth, drawn.squared_depth, drawn.alpha, covered)
         if config.normal > 0:
-            terms["normal"] = config.normal * normal_difference(drawn.normal, depth, camera)
+            terms["normal"] = config.normal * normal_difference(drawn.normal, depth.detach(), camera)
         if config.spread > 0:
-            terms["spread"] = config.spread * spread.mean()
+            alone = lesson.progress / config.materials_from if config.materials_from > 0 else 1.0
+            growth = 10 ** min(_GROWTH * alone, 2.0)
+            deviation = torch.where(covered, spread, 0.0).clamp(min=_LEAST_SPREAD).sqrt()
+            terms["spread"] = config.spread * growth * deviation.mean()
         if config.mask > 0 and lesson.target.alpha is not None:
             alpha = drawn.alpha.clamp(1e-4, 1 - 1e-4)
             terms["mask"] = config.mask * functional.binary_cross_entropy(alpha, lesson.target.alpha)
@@ -107,7 +114,8 @@ class RelightableDrawing(Drawing):
         colors = sh_to_rgb(gaussians.sh, gaussians.means, camera.position.to(normals))
         features, behind = [normals, ahead.square()[:, None], colors], [background.new_zeros(4), background]
         if materials:
-            features.append(self._shaded(gaussians, normals, lesson))
+            # Shading is to be explained by materials, not by other normals (program).
+            features.append(self._shaded(gaussians, normals.detach(), lesson))
             behind.append(background)
         out = self._rasterizer.rasterize(
             gaussians.means,
@@ -144,13 +152,14 @@ class RelightableDrawing(Drawing):
 
 
 def normal_difference(normal: Float[Tensor, "h w 3"], depth: Float[Tensor, "h w"], camera: Camera) -> Float[Tensor, ""]:
-    """Mean over the image of |N - N_d|^2, N_d of the depths (paper, 3.1); 0 where a depth of 0 says that nothing is.
+    """Mean over the image and the axes of (N - N_d)^2, N_d of the depths (paper, 3.1); 0 where a depth of 0 says that
+    nothing is.
 
     ``normal`` is in the frame that the camera is in.
     """
     own = normal @ camera.world_to_camera[:3, :3].T.to(normal)
     wanted, counts = normals_of_depths(depth, depth.detach() > 0, camera)
-    return torch.where(counts, (own[1:-1, 1:-1] - wanted).square().sum(dim=2), 0.0).mean()
+    return torch.where(counts, (own[1:-1, 1:-1] - wanted).square().mean(dim=2), 0.0).mean()
 
 
 def mean_and_variance(

@@ -42,7 +42,7 @@ class SugarConfig(FreeGaussiansConfig):
     """Share of the run at which clear Gaussians are dropped, and from which on the next two count."""
     clear: Annotated[float, between(0, 1)] = 0.5
     """Gaussians with less opacity are dropped then."""
-    distance: Annotated[float, at_least(0)] = 0.2
+    distance: Annotated[float, at_least(0)] = 0.5
     """Factor of the difference, in object units, between the density's distance and that from the depths."""
     normals: Annotated[float, at_least(0)] = 0.2
     """Factor of the squared difference between the density's normals and those of Gaussians."""

@@ -33,7 +33,7 @@ class Local:
 
     @property
     def best(self) -> Int64[Tensor, " n"]:
-        """g*: the Gaussian that the place is fewest standard deviations from (eq. 2)."""
+        """g*: the Gaussian that the place is fewest standard deviations from (eq. 3)."""
         rank = self.white.detach().square().sum(dim=2).argmin(dim=1, keepdim=True)
         return self.near.gather(1, rank)[:, 0]
 
@@ -44,7 +44,7 @@ class Implied:
     """|f| = s sqrt(-2 log d), s the smallest size of g* (4.1)."""
     off: Float[Tensor, " n"]
     """Squared length of what is between the density's normal and that of g*, of the same side (eq. 10). The first has
-    no gradient: g* is turned as its neighbours lie (program)."""
+    no gradient: g* is turned as its neighbours lie. In the program the neighbours' normals have one."""
     known: Bool[Tensor, " n"]
     """Where a Gaussian is in reach and the density has a slope: elsewhere both are 0, without gradient."""
 

@@ -26,9 +26,10 @@ Corners = Float64[np.ndarray, "m 4 2"]
 
 
 def without_shrinking(board: Board, sightings: Sequence[Sighting]) -> list[Sighting]:
-    """Sightings of a ring with the edges of markers moved to where they are, as far as the photographs of one camera
-    agree on. The median of all is taken, since one alone is known to a few hundredths of a pixel only, which sways a
-    calibration."""
+    """Sightings of a ring with the edges of markers moved outward by what they have shrunk, where that can be told.
+
+    It is the median over the photographs: one alone tells it to a few hundredths of a pixel, which sways a calibration.
+    """
     places, told = board.points()[:, :2], []
     for sighting in sightings:
         shift = shrinkage(places[sighting.points].reshape(-1, 4, 2), sighting.pixels.reshape(-1, 4, 2))
@@ -71,8 +72,9 @@ def grown(corners: Corners, shift: float) -> Corners:
 
 
 def _outward(corners: Corners) -> Corners:
-    """How each corner moves if the two edges that meet there move outward by one pixel."""
+    """How each corner moves if the two edges that meet there move outward by one pixel; finite for any corners."""
     along = np.roll(corners, -1, axis=1) - corners
-    normals = np.stack([along[..., 1], -along[..., 0]], axis=2) / np.linalg.norm(along, axis=2, keepdims=True)
-    pair = np.stack([normals, np.roll(normals, 1, axis=1)], axis=2)
-    return np.linalg.solve(pair, np.ones((*pair.shape[:3], 1)))[..., 0]
+    lengths = np.maximum(np.linalg.norm(along, axis=2, keepdims=True), 1e-9)
+    after = np.stack([along[..., 1], -along[..., 0]], axis=2) / lengths
+    before = np.roll(after, 1, axis=1)
+    return (after + before) / np.maximum(1 + (after * before).sum(axis=2, keepdims=True), 1e-3)

@@ -168,8 +168,8 @@ def map_images(
 
     By pairs of images with many matches first: those that look alike without being the same place (the sides of a box,
     an object on a turntable under lamps that stand still) have fewer, and find the others placed already.
-    Models of fewer than three images, and those that have no image of their own, are left out. Lenses that are
-    ``straight`` have a focal length and no distortion.
+    Models of fewer than three images, and those that have no image of their own, are left out. With
+    ``straight``, lenses have a focal length and no distortion.
     """
     known = matched(database)
     pieces: list[pycolmap.Reconstruction] = []

@@ -23,8 +23,8 @@ def join(
     """The models, the first with all those that can be laid over it, the others as they are.
 
     The similarity between two is that by which features of the photographs they share reproject into the other. Points
-    are then triangulated anew from the matches of all photographs, and everything is adjusted together, of ``straight``
-    lenses all but the distortion. ``work`` is a folder for intermediate files.
+    are then triangulated anew from the matches of all photographs, and everything is adjusted together; with
+    ``straight``, lenses keep no distortion. ``work`` is a folder for intermediate files.
     """
     if len(models) < 2:
         return list(models)

@@ -56,6 +56,12 @@ def test_noise_and_a_stray_marker_change_it_little():
     assert shrinkage(PLACES, noisy) == pytest.approx(0.3, abs=0.06)
 
 
+def test_corners_on_one_line_or_in_one_point_stay_finite():
+    line = np.stack([np.linspace(0, 3, 4), np.zeros(4)], axis=1)
+    for corners in (line, np.zeros((4, 2))):
+        assert np.isfinite(grown(np.stack([corners] * 5), 0.3)).all()
+
+
 def test_fewer_than_four_markers_tell_nothing():
     assert shrinkage(PLACES[:3], _shrunk(_seen(), 0.4)[:3]) is None
 

@@ -172,19 +172,29 @@ def map_images(
     ``straight``, lenses have a focal length and no distortion.
     """
     known = matched(database)
-    pieces: list[pycolmap.Reconstruction] = []
-    for stage, share in enumerate(_SHARES):
-        if stage >= _ALWAYS and pieces and pieces[0].num_reg_images() == len(known.features):
+    best: list[pycolmap.Reconstruction] = []
+    # Where few pairs have many matches, the first stage leaves pieces that do not grow together any more.
+    for first in range(_ALWAYS):
+        pieces: list[pycolmap.Reconstruction] = []
+        for stage in range(first, len(_SHARES)):
+            if stage >= _ALWAYS and _placed(pieces) == len(known.features):
+                break
+            mapping = _mapping(options, known.fewest(_SHARES[stage]), straight=straight)
+            begun, out = folder / f"{first} {stage} begun", folder / f"{first} {stage}"
+            if pieces:
+                begun.mkdir(parents=True)
+                pieces[0].write(begun)
+            out.mkdir(parents=True)
+            from_there = begun if pieces else None
+            pieces = _map(database, images, out, mapping, from_there, len(known.features), tell) or pieces
+        best = max(best, pieces, key=_placed)
+        if _placed(best) == len(known.features):
             break
-        mapping = _mapping(options, known.fewest(share), straight=straight)
-        begun = folder / f"begun {stage}"
-        if pieces:
-            begun.mkdir(parents=True)
-            pieces[0].write(begun)
-        out = folder / f"{stage}"
-        out.mkdir(parents=True)
-        pieces = _map(database, images, out, mapping, begun if pieces else None, len(known.features), tell) or pieces
-    return pieces
+    return best
+
+
+def _placed(pieces: "Sequence[pycolmap.Reconstruction]") -> int:
+    return pieces[0].num_reg_images() if pieces else 0
 
 
 def _mapping(options: PosingOptions, fewest: int, *, straight: bool) -> "pycolmap.IncrementalPipelineOptions":

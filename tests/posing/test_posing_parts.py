@@ -367,7 +367,9 @@ class _Model:
         ([5, 5], [100, 50]),
         ([3, 4, 5], [100, 50, 24]),
         # One that nothing shows.
-        ([4, 4, 4, 4], [100, 50, 24, 15]),
+        ([4, 4, 4, 4, 3, 4, 4], [100, 50, 24, 15, 50, 24, 15]),
+        # Pieces that do not grow together: begun anew with the second stage.
+        ([3, 3, 3, 3, 5], [100, 50, 24, 15, 50]),
         # Too few strong pairs for a model.
         ([0, 5], [100, 50]),
     ],

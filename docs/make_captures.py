@@ -107,9 +107,8 @@ def capture(kind: str, make: Callable[[], list[Piece]], folder: Path, every: int
     floor = float(truth.bounds[0, 2])
     write_atomically(folder / "gt_mesh.ply", truth.export(file_type="ply"))
     write_cameras(kind, rig, folder)
-    below = None
+    below = [board_below(floor)] if made.board else []
     if made.board:
-        below = board_below(floor)
         write_frame(true_frame(), folder)
     # Not installed with the project.
     from blender_captures.rendering import Renderer

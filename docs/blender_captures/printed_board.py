@@ -38,7 +38,8 @@ def board_below(floor: float) -> Piece:
 
 def true_frame() -> WorldFrame:
     """Of the world of these captures."""
-    return WorldFrame(metres_per_unit=METRES, up=(0.0, 0.0, 1.0), evidence={"scale_from": "the scene", "up_from": "it"})
+    evidence = {"scale_from": "the scene", "up_from": "the scene"}
+    return WorldFrame(metres_per_unit=METRES, up=(0.0, 0.0, 1.0), evidence=evidence)
 
 
 def _print(board: Board) -> Image.Image:

@@ -39,7 +39,7 @@ class Renderer:
         rig: Rig,
         pieces: Sequence[Piece],
         *,
-        below: Piece | None,
+        below: Sequence[Piece],
         floor: float,
         border: int,
         folder: Path,
@@ -67,8 +67,7 @@ class Renderer:
         write_grain(grain, seed=71)
         self._room = ROOMS[room](self._scene, floor, grain)
         self._object = [_placed(self._scene, *look, folder, grain, COVER) for look in _by_look(pieces)]
-        sheets = [] if below is None else [below]
-        self._below = [_placed(self._scene, sheet.paint, sheet.mesh, None, folder, grain, None) for sheet in sheets]
+        self._below = [_placed(self._scene, sheet.paint, sheet.mesh, None, folder, grain, None) for sheet in below]
         self._camera = add_camera(self._scene, 2 * np.arctan(width / 2 / rig.focal))
 
     def shoot(self, index: int, file: Path, *, keep: bool) -> tuple[np.ndarray, np.ndarray]:

@@ -180,13 +180,8 @@ def map_images(
             if stage >= _ALWAYS and _placed(pieces) == len(known.features):
                 break
             mapping = _mapping(options, known.fewest(_SHARES[stage]), straight=straight)
-            begun, out = folder / f"{first} {stage} begun", folder / f"{first} {stage}"
-            if pieces:
-                begun.mkdir(parents=True)
-                pieces[0].write(begun)
-            out.mkdir(parents=True)
-            from_there = begun if pieces else None
-            pieces = _map(database, images, out, mapping, from_there, len(known.features), tell) or pieces
+            begun, out = pieces[0] if pieces else None, folder / f"{first} {stage}"
+            pieces = _map(database, images, out, mapping, begun, len(known.features), tell) or pieces
         best = max(best, pieces, key=_placed)
         if _placed(best) == len(known.features):
             break
@@ -218,14 +213,19 @@ def _map(
     images: Path,
     folder: Path,
     mapping: "pycolmap.IncrementalPipelineOptions",
-    begun: Path | None,
+    begun: "pycolmap.Reconstruction | None",
     count: int,
     tell: Tell,
 ) -> "list[pycolmap.Reconstruction]":
-    """The model in ``begun`` with more images, where there is one, and further ones."""
+    """The model that is ``begun`` with more images, where there is one, and further ones."""
     import pycolmap
 
-    placed = 0 if begun is None else pycolmap.Reconstruction(begun).num_reg_images()
+    folder.mkdir(parents=True)
+    before, placed = "", 0
+    if begun is not None:
+        before, placed = folder / "begun", begun.num_reg_images()
+        before.mkdir()
+        begun.write(before)
 
     def place(more: int) -> None:
         # Models begin anew with images that others have, so the count may go beyond all of them.
@@ -239,7 +239,7 @@ def _map(
         images,
         folder,
         mapping,
-        input_path="" if begun is None else begun,
+        input_path=before,
         initial_image_pair_callback=lambda: place(2),
         next_image_callback=lambda: place(1),
     )

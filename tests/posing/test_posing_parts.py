@@ -356,9 +356,6 @@ class _Model:
     def num_reg_images(self) -> int:
         return self.placed
 
-    def write(self, folder: Path) -> None:
-        assert folder.is_dir()
-
 
 @pytest.mark.parametrize(
     ("placed", "stages"),

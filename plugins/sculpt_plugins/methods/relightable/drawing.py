@@ -95,8 +95,7 @@ class RelightableDrawing(Drawing):
         if config.spread > 0:
             alone = lesson.progress / config.materials_from if config.materials_from > 0 else 1.0
             growth = 10 ** min(_GROWTH * alone, 2.0)
-            deviation = torch.where(covered, spread, 0.0).clamp(min=_LEAST_SPREAD).sqrt()
-            terms["spread"] = config.spread * growth * deviation.mean()
+            terms["spread"] = config.spread * growth * spread.clamp(min=_LEAST_SPREAD).sqrt().mean()
         if config.mask > 0 and lesson.target.alpha is not None:
             alpha = drawn.alpha.clamp(1e-4, 1 - 1e-4)
             terms["mask"] = config.mask * functional.binary_cross_entropy(alpha, lesson.target.alpha)

@@ -10,7 +10,7 @@ _OPTIONS = {"fastmath": {"nsz", "contract", "reassoc"}, "error_model": "numpy", 
 _ONE = np.float32(1)
 
 
-@njit(inline="always", **_OPTIONS)
+@njit(forceinline=True, **_OPTIONS)
 def _move(values, gradients, first, second, at, rate, beta1, beta2, eps):
     gradient = gradients[at]
     mean = first[at] + (gradient - first[at]) * (_ONE - beta1)

@@ -1,3 +1,4 @@
+import gc
 import os
 import sys
 from collections.abc import Sequence
@@ -32,6 +33,23 @@ sys.meta_path.insert(0, KernelFinder())
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--update-snapshots", action="store_true", help="write the stored texts anew instead of comparing")
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Files from the first and from the last in turn: two workers in one folder would compile the same kernels."""
+    files = list(dict.fromkeys(item.path for item in items))
+    rest = files[::-1]
+    turns = dict.fromkeys(file for pair in zip(files, rest, strict=True) for file in pair)
+    place = {file: index for index, file in enumerate(turns)}
+    items.sort(key=lambda item: place[item.path])
+
+
+def pytest_collection_finish() -> None:
+    """Thousands of collected tests outlive every garbage collection: to look through them each time takes minutes."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(20_000, 20, 20)
 
 
 @pytest.fixture(scope="session", autouse=True)

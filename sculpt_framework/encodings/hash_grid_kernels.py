@@ -14,7 +14,7 @@ _CHUNK = 1024
 # as constants, so that the loops over features are unrolled: that halves the time.
 
 
-@njit(inline="always", **_OPTIONS)
+@njit(forceinline=True, **_OPTIONS)
 def _cell(value, resolution):
     """(index, fraction) of the cell a coordinate in [-1, 1] lies in; clamped outside, cell 0 and NaN for NaN."""
     if value != value:
@@ -24,7 +24,7 @@ def _cell(value, resolution):
     return index, position - np.float32(index)
 
 
-@njit(inline="always", **_OPTIONS)
+@njit(forceinline=True, **_OPTIONS)
 def _corners(points, n, resolution, entries):
     """The point's fractions and the table rows of its cell's eight corners, x fastest.
 
@@ -55,7 +55,7 @@ def _corners(points, n, resolution, entries):
     return fx, fy, fz, rows
 
 
-@njit(inline="always", **_OPTIONS)
+@njit(forceinline=True, **_OPTIONS)
 def _encode(points, table, resolution, column, features, first, end, out):
     entries = table.shape[0]
     for n in range(first, end):
@@ -87,7 +87,7 @@ def encode_level(points, table, resolution, column, out):
             _encode(points, table, resolution, column, features, first, end, out)
 
 
-@njit(inline="always", **_OPTIONS)
+@njit(forceinline=True, **_OPTIONS)
 def _differentiate_table(points, resolution, column, features, to_out, to_table):
     entries = to_table.shape[0]
     for n in range(points.shape[0]):

@@ -11,18 +11,18 @@ _ROUNDING = 1.0 - 1e-9
 """A triangle that ends at a wall between cells may be listed on its other side."""
 
 
-@njit(inline="always")
+@njit(forceinline=True)
 def _corner(vertices, faces, face, number):
     vertex = faces[face, number]
     return vertices[vertex, 0], vertices[vertex, 1], vertices[vertex, 2]
 
 
-@njit(inline="always")
+@njit(forceinline=True)
 def _dot(a, b):
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@njit(inline="always")
+@njit(forceinline=True)
 def _minus(a, b):
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
@@ -50,12 +50,12 @@ def _to_segment(way, along):
     return _dot(rest, rest)
 
 
-@njit(inline="always")
+@njit(forceinline=True)
 def _cell(coordinate, origin, side, count):
     return min(max(int((coordinate - origin) / side), 0), count - 1)
 
 
-@njit(inline="always")
+@njit(forceinline=True)
 def _to_cell(coordinate, cell, origin, side):
     """Squared distance along an axis to the nearest place in a cell."""
     low = origin + cell * side
@@ -63,7 +63,7 @@ def _to_cell(coordinate, cell, origin, side):
     return gap * gap
 
 
-@njit(inline="always")
+@njit(forceinline=True)
 def _cells_of(vertices, faces, face, axis, origin, side, shape):
     """First and last cell along an axis that a triangle's box meets."""
     x = vertices[faces[face, 0], axis]

@@ -48,7 +48,7 @@ def draw(places, inverse_depth, faces, closed, face, weights, nearest):
                     weights[row, column, 2] = b2 * i2 / inverse
 
 
-@njit(inline="always", **_OPTIONS)
+@njit(forceinline=True, **_OPTIONS)
 def _project(pose, lens, point):
     x = pose[0, 0] * point[0] + pose[0, 1] * point[1] + pose[0, 2] * point[2] + pose[0, 3]
     y = pose[1, 0] * point[0] + pose[1, 1] * point[1] + pose[1, 2] * point[2] + pose[1, 3]

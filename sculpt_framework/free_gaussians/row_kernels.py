@@ -12,7 +12,7 @@ NEAR, FAR = 0.2, 1000.0
 MAP = FAR / (FAR - NEAR)
 
 
-@njit(inline="always")
+@njit(forceinline=True)
 def exponential(y):
     """e^y for -6 <= y <= 0, relative error 1e-8: the sixteenth power of a short series.
 

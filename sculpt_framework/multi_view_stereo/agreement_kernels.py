@@ -24,7 +24,7 @@ def planes(local, faces, out):
         out[f, 3] = scale * (nx * local[a, 0] + ny * local[a, 1] + nz * local[a, 2])
 
 
-@njit(inline="always", **_OPTIONS)
+@njit(forceinline=True, **_OPTIONS)
 def _cubic(t):
     """Catmull and Rom's weights of four pixels in a row, ``t`` behind the second, and their slopes by ``t``."""
     s = t * t
@@ -36,7 +36,7 @@ def _cubic(t):
     return w0, w1, w2, w3, d0, d1, d2, d3
 
 
-@njit(inline="always", **_OPTIONS)
+@njit(forceinline=True, **_OPTIONS)
 def _across(image, row, column, x0, x1, x2, x3):
     return (
         x0 * image[row, column - 1]
@@ -46,7 +46,7 @@ def _across(image, row, column, x0, x1, x2, x3):
     )
 
 
-@njit(inline="always", **_OPTIONS)
+@njit(forceinline=True, **_OPTIONS)
 def _sample(image, column, row):
     """The image at a place counted from the middle of its first pixel, and its slopes along columns and rows."""
     c, r = int(column), int(row)

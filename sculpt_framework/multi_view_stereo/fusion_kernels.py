@@ -11,7 +11,7 @@ _BINS = 9
 """Of distances, in which the views' words are counted."""
 
 
-@njit(inline="always", **_OPTIONS)
+@njit(forceinline=True, **_OPTIONS)
 def _depth_at(depths, normals, weights, lenses, view, u, v, jump):
     """(depth, weight, cosine) at (u, v), in pixels from the middle of the first: interpolated where the four around are
     of one surface, that of the nearest pixel where they are not. Depth 0 where none is known, or outside of the image.
@@ -44,7 +44,7 @@ def _depth_at(depths, normals, weights, lenses, view, u, v, jump):
     return depth, weight, abs(normal[0] * x + normal[1] * y + normal[2])
 
 
-@njit(inline="always", **_OPTIONS)
+@njit(forceinline=True, **_OPTIONS)
 def _projected(poses, lenses, view, x, y, z):
     """Depth, column and row of a point; the last two mean nothing where it is not in front of the camera."""
     far = poses[view, 2, 0] * x + poses[view, 2, 1] * y + poses[view, 2, 2] * z + poses[view, 2, 3]

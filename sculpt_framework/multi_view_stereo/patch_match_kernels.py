@@ -32,14 +32,14 @@ _PER_PIXEL = np.float32(0.15)
 """Cost of a pixel of that disagreement."""
 
 
-@njit(inline="always", **_OPTIONS)
+@njit(forceinline=True, **_OPTIONS)
 def _draw(state):
     """The next state of a linear congruential generator (Knuth's constants) and a number from -1 to 1."""
     state = state * np.uint64(6364136223846793005) + np.uint64(1442695040888963407)
     return state, np.float32(state >> np.uint64(40)) * np.float32(2.0**-23) - _ONE
 
 
-@njit(inline="always", **_OPTIONS)
+@njit(forceinline=True, **_OPTIONS)
 def _cut_window(luminance, inside, view, row, column, stride, window):
     """Fill the window around a pixel. Returns (sum of weights, weighted mean, variance).
 
@@ -69,7 +69,7 @@ def _cut_window(luminance, inside, view, row, column, stride, window):
     return total, mean, second / total - mean * mean
 
 
-@njit(inline="always", **_OPTIONS)
+@njit(forceinline=True, **_OPTIONS)
 def _difference(luminance, inside, lenses, view, relative, n, ray, normal, offset, pixel, window, places, moments):
     """1 - NCC of a window and its image in another view through a plane; ``offset`` is normal . point.
 
@@ -128,7 +128,7 @@ def _difference(luminance, inside, lenses, view, relative, n, ray, normal, offse
     return min(_ONE - (mixed - first * mean) / np.sqrt(variance * others_variance), _NEVER)
 
 
-@njit(inline="always", **_OPTIONS)
+@njit(forceinline=True, **_OPTIONS)
 def _disagreement(depths, lenses, own, view, relative, n, x, y, z, column, row):
     """Pixels between a pixel and where the depth that another view has at its point leads back to."""
     r = relative[n]
@@ -152,7 +152,7 @@ def _disagreement(depths, lenses, own, view, relative, n, x, y, z, column, row):
     return min(np.sqrt(du * du + dv * dv), _FARTHEST_PIXELS)
 
 
-@njit(inline="always", **_OPTIONS)
+@njit(forceinline=True, **_OPTIONS)
 def _cost(luminance, inside, lenses, own, others, asked, judges, relative, before, geometric, counted, ray, place, normal, depth, pixel, window, places, moments, best, order, limit):  # fmt: skip # noqa: E501
     """Mean of the ``counted`` smallest differences that a plane has in the first ``judges`` views of those ``asked``:
     the rest may not see the place. Differences are sorted in ``best``, and whose they are in ``order``.

@@ -9,7 +9,7 @@ _NEAR = np.float32(1e-4)
 _FAR = np.float32(1e9)
 
 
-@njit(inline="always", **_OPTIONS)
+@njit(forceinline=True, **_OPTIONS)
 def _span(pose, lens, position, row, column, origin, size, way):
     """Fill ``way`` with the ray of a pixel, of depth 1, and return the depths at which it enters and leaves the box."""
     x = (np.float32(column) + _HALF - lens[2]) / lens[0]
@@ -23,7 +23,7 @@ def _span(pose, lens, position, row, column, origin, size, way):
     return first, last
 
 
-@njit(inline="always", **_OPTIONS)
+@njit(forceinline=True, **_OPTIONS)
 def _cell_at(position, way, depth, origin, cell):
     return (
         np.int32((position[0] + depth * way[0] - origin[0]) / cell),
@@ -56,7 +56,7 @@ def bound_depths(inside, pose, lens, position, solid, origin, cell, nearest, far
                 depth += step
 
 
-@njit(inline="always", **_OPTIONS)
+@njit(forceinline=True, **_OPTIONS)
 def _pixel(points, n, pose, lens, height, width):
     """The depth, row and column at which a point is seen; a row of -1 where it is not."""
     x, y, z = points[n, 0], points[n, 1], points[n, 2]

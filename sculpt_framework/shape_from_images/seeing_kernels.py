@@ -7,7 +7,7 @@ _OPTIONS = {"fastmath": {"nsz", "contract", "reassoc", "arcp"}, "error_model": "
 _HALF, _NEAR = np.float32(0.5), np.float32(1e-6)
 
 
-@njit(inline="always", **_OPTIONS)
+@njit(forceinline=True, **_OPTIONS)
 def _free(inside, start, way, origin, cell, first):
     """Whether a ray of unit direction meets nothing ``inside`` from ``first`` cells on until it leaves the volume."""
     step = _HALF * cell

@@ -190,9 +190,13 @@ def cluttered_scene(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, lis
     return folder, shots
 
 
-def test_the_object_is_cut_out_of_a_cluttered_room(cluttered_scene: tuple[Path, list[Shot]]):
-    folder, shots = cluttered_scene
-    scene = AutoDatasetConfig().build(str(folder)).load()
+@pytest.fixture(scope="module")
+def cut_out(cluttered_scene: tuple[Path, list[Shot]]) -> Scene:
+    return AutoDatasetConfig().build(str(cluttered_scene[0])).load()
+
+
+def test_the_object_is_cut_out_of_a_cluttered_room(cluttered_scene: tuple[Path, list[Shot]], cut_out: Scene):
+    scene, shots = cut_out, cluttered_scene[1]
     assert _noted(scene, "12 of 12 images have no mask: the object is cut out of them")
     assert _noted(scene, "looked for in the box of 200 of 200 sparse points")
     scores = []
@@ -204,9 +208,9 @@ def test_the_object_is_cut_out_of_a_cluttered_room(cluttered_scene: tuple[Path, 
     assert scene.box.scale == pytest.approx(0.8, rel=0.1)
 
 
-def test_cutting_out_is_repeatable(cluttered_scene: tuple[Path, list[Shot]]):
-    folder, _ = cluttered_scene
-    first, second = (ColmapConfig().build(str(folder)).load().train[3].alpha for _ in range(2))
+def test_cutting_out_is_repeatable(cluttered_scene: tuple[Path, list[Shot]], cut_out: Scene):
+    again = ColmapConfig().build(str(cluttered_scene[0])).load()
+    first, second = (scene.train[3].alpha for scene in (cut_out, again))
     assert first is not None
     assert second is not None
     assert torch.equal(first, second)

@@ -48,6 +48,7 @@ def noise(folders: dict[str, Path], first: Reconstruction) -> float:
 
 
 # COLMAP's two encodings and IDR's two names give the same scene, which test_layouts.py holds.
+@pytest.mark.slow
 @pytest.mark.parametrize("layout", ["OmniObject3D", "nerfstudio", "COLMAP text", "IDR"])
 def test_same_mesh(layout: str, folders: dict[str, Path], first: Reconstruction, noise: float):
     other = _train(folders[layout])

@@ -26,5 +26,5 @@ def scene(scene_folder: Path) -> Scene:
 
 @pytest.fixture(scope="session")
 def command_environment() -> dict[str, str]:
-    """For programs started by a test: no more threads than the machine's continuous integration has."""
-    return {**os.environ, "OMP_NUM_THREADS": "2", "COLUMNS": "200"}
+    """For programs started by a test: as many threads as the test itself may use, else two."""
+    return {"OMP_NUM_THREADS": "2", **os.environ, "COLUMNS": "200"}

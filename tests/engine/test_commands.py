@@ -26,7 +26,16 @@ Finished = subprocess.CompletedProcess[str]
 
 
 def command(environment: dict[str, str], module: str, *words: str | Path) -> Finished:
-    code = f"import sys; from sculpt_framework.cli.{module} import main; sys.argv[0] = 'sculpt'; main()"
+    code = f"""
+import sys
+from sculpt_framework.cli.{module} import main
+from sculpt_framework.evaluation import evaluator
+
+# As in conftest.py, whose fixtures do not reach this process.
+evaluator.CURVE_SAMPLES, evaluator.RESULT_SAMPLES = 4_000, 10_000
+sys.argv[0] = "sculpt"
+main()
+"""
     arguments = [sys.executable, "-c", code, *map(str, words)]
     return subprocess.run(arguments, env=environment, capture_output=True, text=True, timeout=120, check=False)
 

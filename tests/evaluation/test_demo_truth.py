@@ -7,6 +7,7 @@ from sculpt_framework.demo_scenes.objects import OBJECTS, DemoObject
 from sculpt_framework.demo_scenes.reference import reference_mesh
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("item", OBJECTS.values(), ids=OBJECTS.keys())
 def test_vertices_lie_on_the_surface_and_faces_near_it(item: DemoObject):
     vertices, faces = reference_mesh(item.distance, item.reference_cells)

@@ -31,7 +31,7 @@ def small(name: str, steps: int) -> GuidedGaussiansConfig:
     return replace(config, steps=steps, density=density, radiance=radiance, rays=rays, **sizes)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", ["gsdf", pytest.param("3dgsr", marks=pytest.mark.slow)])
 def test_it_learns_the_shape_and_is_drawn_as_it_was(tmp_path: Path, name: str):
     folder = tmp_path / "blob"
     settings = DemoSettings(train_views=11, test_views=2, resolution=48, reference_cells=32)

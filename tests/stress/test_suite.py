@@ -13,7 +13,10 @@ from sculpt_framework.stress.stiff import BOUND, curves, safe_range, standard
 from sculpt_framework.stress.suite import GROUPS, chosen_cases
 
 
-@pytest.mark.parametrize("module", [faces.face_cases, splats.splat_cases, surfaces.surface_cases])
+@pytest.mark.parametrize(
+    "module",
+    [pytest.param(faces.face_cases, marks=pytest.mark.slow), splats.splat_cases, surfaces.surface_cases],
+)
 def test_operators_are_within_their_limits(module):
     results = list(run_cases(module()))
     assert [(result.id, result.measured, result.note) for result in results if not result.ok] == []

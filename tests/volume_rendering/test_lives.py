@@ -18,6 +18,8 @@ from sculpt_framework.volume_rendering.config import VolumeConfig
 from sculpt_framework.volume_rendering.reconstructor import FILE_NAME
 
 NAMES = ["nerf", "neus", "volsdf"]
+# Their parts have tests of their own, and one of them lives a quick run.
+ONE_QUICK = ["neus", *(pytest.param(name, marks=pytest.mark.slow) for name in NAMES if name != "neus")]
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +36,7 @@ def small(name: str, steps: int) -> VolumeConfig:
     return replace(config, steps=steps, rays=256, steps_across=48, cells=24, mesh_cells=32, radiance=radiance)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", ONE_QUICK)
 def test_it_learns_the_shape_and_is_drawn_as_it_was(folder: Path, tmp_path: Path, name: str):
     session = sculpt.Session(sculpt.load(str(folder)), small(name, 150))
     session.run()

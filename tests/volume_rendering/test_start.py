@@ -43,6 +43,7 @@ def apart(start: SdfFunction) -> float:
     return float(start(points[torch.from_numpy(on)]).abs().mean())
 
 
+@pytest.mark.slow
 def test_ten_views_show_hollows_that_no_outline_does(views: list[View]):
     hull, *_, learned = starts(views, replace(SMALL, steps=400, rays=256))
     assert apart(learned) < 0.5 * apart(hull)

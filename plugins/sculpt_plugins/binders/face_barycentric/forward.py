@@ -60,7 +60,7 @@ def mix(log_ratios, rotation, reach, mixing, squares):
         squares[chunk] = total
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _across(i, k, j, reach, mixing):
     """Components across edge j of both columns of the tangential factor."""
     along, other = reach[j, 0, i], reach[j, 1, i]
@@ -72,7 +72,7 @@ def _half_tangent(cosine, sine):
     return sine / max(ONE + cosine, _FLAT)
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _deviations(i, heights, cosine, sine, log_density, depths):
     """How many deviations below its face a Gaussian lies: ``outline._interpolated`` of ``outline._log_layers``."""
     curvature = _FLATTEST
@@ -85,7 +85,7 @@ def _deviations(i, heights, cosine, sine, log_density, depths):
     return depths[low] + (depths[low + 1] - depths[low]) * (at - np.float32(low))
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _shift(i, k, barycentrics, outward, heights, cosine, sine, depth):
     """Along the face, away from edges beyond which it bends."""
     shift = (ZERO, ZERO, ZERO)
@@ -98,7 +98,7 @@ def _shift(i, k, barycentrics, outward, heights, cosine, sine, depth):
     return shift
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _trim(
     i, k, shift, barycentrics, mixing, outward, heights, cosine, sine, reach, depth, deviations, blur, normal_scale
 ):

@@ -15,12 +15,12 @@ _LAST_PLACE = np.float32(2**PLACE_BITS - 1)
 NOT_WANTED = np.int64(-1)
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _column(array, index):
     return array[0, index], array[1, index], array[2, index]
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _put(array, index, values):
     array[0, index], array[1, index], array[2, index] = values
 
@@ -100,7 +100,7 @@ def look_across(vertices, faces, steiner, across, normals, outward, heights, cos
         areas[chunk] = area
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _name(axis, ahead, cells, place, count):
     side = np.int64(2 * axis + (1 if ahead else 0))
     name = (side * count + cells[(axis + 1) % 3]) * count + cells[(axis + 2) % 3]

@@ -13,6 +13,7 @@ trim    With that plane seen edge-on its outline does not stand outside: its dev
 All three are constants of a step: images move faces, not the angles between them.
 """
 
+import functools
 import math
 from dataclasses import dataclass
 
@@ -78,6 +79,7 @@ class Neighbourhood:
         return self.sine / (1.0 + self.cosine).clamp(min=FLAT)
 
 
+@functools.cache
 def rim_depths(opacity: float) -> Float64[np.ndarray, " n"]:
     """D at equal steps of ln N: the solutions of tau(D) = ln 2."""
     depths, places = np.linspace(0.0, 5.0, 101), np.linspace(-3.0, 3.0, 121)

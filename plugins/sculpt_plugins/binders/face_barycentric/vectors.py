@@ -16,7 +16,7 @@ OPTIONS = {
 }
 ZERO, ONE, TWO, HALF = np.float32(0), np.float32(1), np.float32(2), np.float32(0.5)
 THIRD, TWO_THIRDS, ROOT_THIRD = np.float32(1 / 3), np.float32(2 / 3), np.float32(1 / math.sqrt(3.0))
-# Functions of arrays are inlined by numba: a call would count references to each of them, atomically.
+# Functions of arrays are inlined: a call would count references to each of them, atomically.
 
 CHUNK = 1024
 """Faces that a thread takes at a time; what is added up within them does not depend on the number of threads."""
@@ -67,7 +67,7 @@ def length(a):
     return math.sqrt(dot(a, a) + _SQUARE)
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def row(array, index):
     return array[index, 0], array[index, 1], array[index, 2]
 

@@ -14,7 +14,7 @@ _OPTIONS = {"fastmath": {"nsz", "arcp", "contract"}, "error_model": "numpy", "ca
 _ZERO, _HALF, _ONE = np.float32(0), np.float32(0.5), np.float32(1)
 
 
-@njit(inline="always", **_OPTIONS)
+@njit(forceinline=True, **_OPTIONS)
 def _crossing(ends, positions, weight, place):
     inner, outer = ends[place >> 2, 0], ends[place >> 2, 1]
     x, y, z = positions[inner, 0], positions[inner, 1], positions[inner, 2]
@@ -25,7 +25,7 @@ def _crossing(ends, positions, weight, place):
     )
 
 
-@njit(inline="always", **_OPTIONS)
+@njit(forceinline=True, **_OPTIONS)
 def _reaches(ends, cells, cell_ends, sdf, alpha, edge, corner):
     """alpha |sdf| at the inner and the outer end of an edge, as one of its cells has them."""
     cell = cells[edge, corner]
@@ -33,7 +33,7 @@ def _reaches(ends, cells, cell_ends, sdf, alpha, edge, corner):
     return inner, abs(sdf[ends[edge, 1]]) * alpha[cell, cell_ends[edge, corner, 1]]
 
 
-@njit(inline="always", **_OPTIONS)
+@njit(forceinline=True, **_OPTIONS)
 def _sign(value):
     # Without branches, which nothing could foresee.
     return np.float32(value > _ZERO) - np.float32(value < _ZERO)

@@ -52,7 +52,7 @@ def list_edges(
             e += 1
 
 
-@njit(inline="always", **_OPTIONS)
+@njit(forceinline=True, **_OPTIONS)
 def _smallest_angle(ax, ay, az, bx, by, bz):
     """Its tangent, of the triangle with these two sides, one after the other; and the area's vector, twice as long."""
     x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx

@@ -36,7 +36,7 @@ _TO_DEPTH, _TO_AWAY, _TO_M, _TO_WHITE, _TO_CENTER, _TO_OPACITY, _TO_COLORS = 12,
 and from ``_TO_WHITE`` on what is added up for the Gaussian."""
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _cofactors(m, out):
     """``out`` (a x b) is M a x M b."""
     for i in range(3):
@@ -46,7 +46,7 @@ def _cofactors(m, out):
         out[i, 2] = m[j, 0] * m[k, 1] - m[j, 1] * m[k, 0]
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _row_of(m, cofactors, c, center, y, line, form):
     """Along the row of pixels with this y: w = ``line[0]`` + x ``line[1]`` and M^T w = ``line[2]`` + x ``line[3]``; and
     the coefficients of powers of x in |cof(M) (mu x d)|^2, ``form[0]``, in |w|^2, ``form[1]``, and in w . M mu,
@@ -71,7 +71,7 @@ def _row_of(m, cofactors, c, center, y, line, form):
         line[3, i] = m[0, i] * line[1, 0] + m[1, i] * line[1, 1] + m[2, i] * line[1, 2]
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _misses(form, limit, fx, cx, first, last):
     """Whether none of the row's pixels from column ``first`` to ``last`` (exclusive) is within the limit."""
     a = form[0, 2] - limit * form[1, 2]
@@ -89,7 +89,7 @@ def _misses(form, limit, fx, cx, first, last):
     return not (low <= last + 0.01 and high >= first - 0.01)
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _meet(form, line, limit, opacity, side, fx, cx, lanes):
     """Where the rays of a row peak. The normal is that of the plane of equal density there, towards the camera: -M^T w,
     made unit."""
@@ -118,7 +118,7 @@ def _meet(form, line, limit, opacity, side, fx, cx, lanes):
         lanes[_NORMAL + 2, lane] = -n2 * shorter if counts else 0.0
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _times(m, vector, out):
     for i in range(3):
         out[i] = m[i, 0] * vector[0] + m[i, 1] * vector[1] + m[i, 2] * vector[2]
@@ -270,7 +270,7 @@ def differentiate(
                         to_colors[band, g, c] += lanes[_TO_COLORS + c, lane]
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _slopes_of_row(opacity, row, lanes, planes):
     """Slopes by the squared distance, by the depth (over |w|^2) and by -M^T w; those by the opacity are added up."""
     for lane in range(TILE):
@@ -300,7 +300,7 @@ def _slopes_of_row(opacity, row, lanes, planes):
         lanes[_TO_M + 2, lane] = (facing * n2 - planes[_NORMALS + 2, row, lane]) * shorter
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _slopes_of_axis(i, m, place, center, line, y, lanes):
     """Add a row's slopes by row ``i`` of M, and what comes through it by the centre, lane by lane."""
     m0, m1, m2, middle = 1.0 * m[i, 0], 1.0 * m[i, 1], 1.0 * m[i, 2], center[i]

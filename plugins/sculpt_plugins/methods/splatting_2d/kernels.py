@@ -33,7 +33,7 @@ _ALPHA, _VALUE, _X, _DEPTH, _U, _V, _INVERSE, _WEIGHT, _Q, _TO_FRAME, _TO_OPACIT
 """Rows of lanes: of where a ray meets a disk, weights, and what is added up for the disk."""
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _row_of(h, y, start, slope):
     """k = ``start`` + x ``slope`` [3] along the row of pixels with this y."""
     b0, b1, b2 = y * h[2, 0] - h[1, 0], y * h[2, 1] - h[1, 1], y * h[2, 2] - h[1, 2]
@@ -45,7 +45,7 @@ def _row_of(h, y, start, slope):
     slope[2] = h[2, 0] * b1 - h[2, 1] * b0
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _misses(start, slope, limit, across, down, fx, cx, first, last):
     """Whether none of the row's pixels from column ``first`` to ``last`` (exclusive) is within the limit.
 
@@ -71,7 +71,7 @@ def _misses(start, slope, limit, across, down, fx, cx, first, last):
     return not (low <= high and low <= last + 0.01 and high >= first - 0.01)
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _meet(h, start, slope, limit, opacity, side, across, down, fx, cx, lanes):
     """Where the rays of a row meet the disk: coordinates and depth. A ray that does not, or for which the blur around
     the disk's centre is nearer, has that in place: then ``_INVERSE``, one over k's third component, is 0."""
@@ -235,7 +235,7 @@ def differentiate(
                         to_features[band, g, c] += lanes[_TO_FEATURES + c, lane]
 
 
-@njit(inline="always", **OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _slopes_of_row(h, opacity, row, side, y, across, down, fx, fy, lanes, planes):
     """Add a row's slopes by the disk's frame and opacity, lane by lane."""
     h00, h01, h02 = h[0, 0], h[0, 1], h[0, 2]

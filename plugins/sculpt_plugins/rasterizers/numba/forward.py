@@ -63,7 +63,7 @@ def _exponential_coefficients():
 _E0, _E1, _E2, _E3, _E4, _E5 = _exponential_coefficients()
 
 
-@njit(inline="always")
+@njit(forceinline=True)
 def power_of_256(y):
     """2^(8 y) for y in [-1, 0]; below, that of -1, which is less than any alpha that counts.
 
@@ -76,14 +76,14 @@ def power_of_256(y):
     return p * p
 
 
-@njit(inline="always")
+@njit(forceinline=True)
 def pixel_index(row, column):
     """Where a tile's pixel is kept: block by block."""
     block = (row // BLOCK) * (TILE // BLOCK) + column // BLOCK
     return block * LANES + (row % BLOCK) * BLOCK + column % BLOCK
 
 
-@njit(inline="always")
+@njit(forceinline=True)
 def _exponents_at_most(records, r, origin_x, origin_y):
     """A bound of the exponent in each block of the tile; a lane is a block here.
 

@@ -44,6 +44,8 @@ class SuiteRequest:
     """Wall seconds for each run. Default: as many steps as the method says."""
     steps: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")] = None
     """Outer steps for each run, instead of seconds."""
+    own_length: Flag = False
+    """Beside the runs of --max-time or --steps, run each method once more for as long as it says itself."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
     """Where runs and tables go. Default: outputs/suite-NAME. What has been run there is not run again."""
     jobs: Annotated[int, tyro.conf.arg(metavar="N")] = 1
@@ -60,6 +62,7 @@ def suite(words: Sequence[str]) -> None:
     request = tyro.cli(SuiteRequest, args=own, prog=PROGRAM)
     _check(request)
 
+    from sculpt_framework.experiments.budgets import told_apart
     from sculpt_framework.experiments.carry_out import carry_out
     from sculpt_framework.experiments.matrix import Budget, Setting, check_extra, config_of, cross
     from sculpt_framework.experiments.suites import find_suite
@@ -69,13 +72,15 @@ def suite(words: Sequence[str]) -> None:
     settings = [Setting(name=method, method=method) for method in request.methods]
     for setting in settings:
         config_of(setting, found.scenes[0], extra)
-    budget = None
+    budgets: list[Budget | None] = []
     if request.max_time is not None:
-        budget = Budget(kind="seconds", amount=request.max_time)
+        budgets.append(Budget(kind="seconds", amount=request.max_time))
     elif request.steps is not None:
-        budget = Budget(kind="steps", amount=float(request.steps))
+        budgets.append(Budget(kind="steps", amount=float(request.steps)))
+    if request.own_length or not budgets:
+        budgets.append(None)
     title = f"Suite {request.name}"
-    matrix = cross(title, settings, found.scenes, [budget], request.seeds, extra)
+    matrix = cross(title, settings, found.scenes, budgets, request.seeds, extra)
     folder = request.out or Path("outputs") / f"suite-{request.name}"
     carried_out = partial(
         carry_out,
@@ -92,16 +97,18 @@ def suite(words: Sequence[str]) -> None:
 
         check_external(request.against, found)
         carried_out(
-            lambda results: capture_tables(results, found, request.against, folder),
+            lambda results: capture_tables(told_apart(results), found, request.against, folder),
             measure=partial(measure_all, matrix, found, request.against, folder),
-            page=lambda results: capture_page(results, found, request.against, folder),
+            page=lambda results: capture_page(told_apart(results), found, request.against, folder),
         )
     else:
         from sculpt_framework.experiments.results import results_csv
+        from sculpt_framework.experiments.suite_page import suite_page
         from sculpt_framework.experiments.suite_tables import notes, suite_tables
 
         carried_out(
-            lambda results: (suite_tables(results, found, request.methods), notes(found), results_csv(results, {}))
+            lambda results: (suite_tables(told_apart(results), found), notes(found), results_csv(results, {})),
+            page=lambda results: suite_page(told_apart(results), found),
         )
 
 
@@ -113,6 +120,8 @@ def _check(request: SuiteRequest) -> None:
         raise ConfigError("--masks and --against are for the suite captures; the scenes of others are as they are.")
     if request.max_time is not None and request.steps is not None:
         raise ConfigError("--max-time and --steps: expected one of the two.")
+    if request.own_length and request.max_time is None and request.steps is None:
+        raise ConfigError("--own-length is for runs beside those of --max-time or --steps; without these all are such.")
     if request.max_time is not None and not 0 < request.max_time < float("inf"):
         raise ConfigError(f"--max-time is {request.max_time}; expected seconds above 0.")
     if request.steps is not None and request.steps < 1:

@@ -8,15 +8,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sculpt_framework.comparison.diagrams import error_over_time
 from sculpt_framework.comparison.pages import caveats
-from sculpt_framework.comparison.runs import Measure, RunRecord
+from sculpt_framework.comparison.runs import RunRecord
 from sculpt_framework.comparison.statistics import grouped, median
-from sculpt_framework.evaluation.drawing import to_svg
 from sculpt_framework.evaluation.web_page import bullets, grid_table, page
 from sculpt_framework.experiments.capture_measures import Measured, measured_external, measured_run
 from sculpt_framework.experiments.matrix import Cell
 from sculpt_framework.experiments.results import CellResult, records
+from sculpt_framework.experiments.suite_page import curves
 from sculpt_framework.experiments.suites import Suite
 from sculpt_framework.experiments.tables import UNKNOWN, Table, number
 from sculpt_framework.posed_images.masks import has_mask_files
@@ -163,8 +162,8 @@ def capture_page(results: Sequence[CellResult], suite: Suite, against: Sequence[
     shown = [*ran, *_levels(found, suite)]
     sections = [
         ("", grid_table(table.columns, table.rows)),
-        ("Distance to the truth against time", _drawn(shown, "chamfer")),
-        ("Residual between photographs against time", _drawn(shown, "residual_px")),
+        ("Distance to the truth against time", curves(shown, "chamfer")),
+        ("Residual between photographs against time", curves(shown, "residual_px")),
         ("Before comparing", bullets(caveats(ran))),
         ("How to read this", bullets([*capture_notes(suite), *_READING])),
     ]
@@ -262,13 +261,6 @@ def _levels(found: Sequence[Line], suite: Suite) -> Iterator[RunRecord]:
             for label, data in data_of.items():
                 if data == data_of[line.capture]:
                     yield RunRecord(name=line.name, scene=label, method=line.name, final=final)
-
-
-def _drawn(shown: Sequence[RunRecord], measure: Measure) -> str:
-    """Of the scenes where a run has a curve of it."""
-    scenes = {record.scene for record in shown if any(point.value(measure) is not None for point in record.curve)}
-    drawing = error_over_time([record for record in shown if record.scene in scenes], measure, "wall")
-    return f'<div style="max-width: {drawing.width:.0f}px">{to_svg(drawing)}</div>' if drawing else ""
 
 
 def _csv_cell(value: object) -> str:

@@ -14,8 +14,9 @@ from sculpt_framework.experiments.tables import UNKNOWN, Table, number, power
 COUNTED = ("mean", "median", "failures", "wins")
 
 
-def suite_tables(results: Sequence[CellResult], suite: Suite, methods: Sequence[str]) -> list[Table]:
+def suite_tables(results: Sequence[CellResult], suite: Suite) -> list[Table]:
     """Ours, the paper's if it has any, and one table per scene with all measures."""
+    methods = list(dict.fromkeys(result.cell.setting for result in results))
     tables = [our_table(results, suite, methods)]
     if suite.paper is not None:
         tables.append(paper_table(suite.paper))

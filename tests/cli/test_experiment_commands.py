@@ -100,6 +100,21 @@ def test_a_suite_from_words_to_tables(place: Path, capsys: pytest.CaptureFixture
     assert started.startswith(f"gaussian-sculpting --data {place / 'nerf' / 'mic'} --max-time 20 --seed 0 --output ")
 
 
+def test_a_suite_at_equal_seconds_and_at_each_method_s_own_length(place: Path):
+    words = ["suite", "demo", "--objects", "dents", "--methods", "gaussian-sculpting", "neus", "--own-length"]
+    with pytest.raises(ConfigError, match="--own-length is for runs beside those of --max-time or --steps"):
+        bench(words)
+    bench([*words, "--max-time", "20"])
+    folder = place / "outputs" / "suite-demo"
+    timed = [" --max-time 20 " in line for line in (folder / "started.txt").read_text().splitlines()[1:]]
+    assert timed == [True, True, False, False]
+    tables, page = (folder / "tables.md").read_text(), (folder / "report.html").read_text()
+    for name in ("gaussian-sculpting, 20 s", "neus, 20 s", "gaussian-sculpting, its own length", "neus, its own length"):
+        assert f"\n| {name} |" in tables
+        assert page.count(name) > 2, "two tables, and beside its curve"
+    assert "<svg" in page
+
+
 def test_when_everything_fails_the_command_does(capsys: pytest.CaptureFixture[str]):
     with pytest.raises(TrainingFailed, match="all 2 runs failed; the first said: the data are no good"):
         ablate([*TWO, "--seeds", "10", "--out", "out"])

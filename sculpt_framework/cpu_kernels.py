@@ -4,6 +4,7 @@ number of threads, and tensors as they take them."""
 import hashlib
 import logging
 import os
+import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -78,7 +79,9 @@ def _user_folder() -> Path:
         candidate.mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=candidate).close()
     except OSError:
-        return Path(tempfile.gettempdir()) / f"gaussian-sculpting-{os.getuid()}"
+        # On Windows that folder is the user's own.
+        owner = "" if sys.platform == "win32" else f"-{os.getuid()}"
+        return Path(tempfile.gettempdir()) / f"gaussian-sculpting{owner}"
     return candidate
 
 

@@ -304,7 +304,7 @@ def _flags_of(value: Any) -> Iterator[str]:
 
 def _explain_unknown(word: str, config: MethodConfig) -> str:
     if not word.startswith("-"):
-        return f"{word!r} belongs to no option. Options start with two dashes; --help lists them."
+        return f"{word!r} belongs to no option. Options start with two dashes; --help-all lists them."
     option = word.partition("=")[0].removeprefix("--").replace("_", "-").replace(".no-", ".")
     slot, _, rest = option.partition(".")
     slots = slots_of(type(config))
@@ -314,7 +314,7 @@ def _explain_unknown(word: str, config: MethodConfig) -> str:
             return owner
     near = registry.closest(option, flags(config))
     hint = f" Did you mean --{near}?" if near else ""
-    return f"there is no option {word.partition('=')[0]}.{hint} --help lists them all."
+    return f"there is no option {word.partition('=')[0]}.{hint} --help-all lists them all."
 
 
 def _explain_absent(flag: str, slot: Slot, option: str, config: MethodConfig) -> str | None:

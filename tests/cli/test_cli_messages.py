@@ -51,13 +51,13 @@ MISTAKES = {
         "Add --constraints tight even."
     ),
     "fake --data x --trainer.base-cell 3": (
-        "there is no option --trainer.base-cell. Did you mean --trainer.base-cells? --help lists them all."
+        "there is no option --trainer.base-cell. Did you mean --trainer.base-cells? --help-all lists them all."
     ),
     "fake --data x --losses.outline.wieght=3": (
-        "there is no option --losses.outline.wieght. Did you mean --losses.outline.weight? --help lists them all."
+        "there is no option --losses.outline.wieght. Did you mean --losses.outline.weight? --help-all lists them all."
     ),
-    "fake --data x --xyzzy 3": "there is no option --xyzzy. --help lists them all.",
-    "fake --data x y": "'y' belongs to no option. Options start with two dashes; --help lists them.",
+    "fake --data x --xyzzy 3": "there is no option --xyzzy. --help-all lists them all.",
+    "fake --data x y": "'y' belongs to no option. Options start with two dashes; --help-all lists them.",
     "fake --data x --max-time -3": "--max-time is -3.0; expected seconds above 0.",
     "fake --data x --max-time 0": "--max-time is 0.0; expected seconds above 0.",
     "fake --data x --max-time nan": "--max-time is nan; expected a finite number.",

@@ -109,7 +109,8 @@ def test_a_suite_at_equal_seconds_and_at_each_method_s_own_length(place: Path):
     timed = [" --max-time 20 " in line for line in (folder / "started.txt").read_text().splitlines()[1:]]
     assert timed == [True, True, False, False]
     tables, page = (folder / "tables.md").read_text(), (folder / "report.html").read_text()
-    for name in ("gaussian-sculpting, 20 s", "neus, 20 s", "gaussian-sculpting, its own length", "neus, its own length"):
+    methods, lengths = ("gaussian-sculpting", "neus"), ("20 s", "its own length")
+    for name in (f"{method}, {length}" for method in methods for length in lengths):
         assert f"\n| {name} |" in tables
         assert page.count(name) > 2, "two tables, and beside its curve"
     assert "<svg" in page

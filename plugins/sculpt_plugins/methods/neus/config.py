@@ -15,7 +15,7 @@ class NeusConfig(SdfVolumeConfig):
     """NeuS (Wang et al. 2021): opacity from how far a logistic function of the distance falls along a stretch."""
 
     sharpness: Annotated[float, above(0)] = 20.0
-    """Of the logistic function, to begin with, per object unit: the paper's 1/s. It is learned."""
+    """Of the logistic function, to begin with, per object unit: the paper's s. It is learned."""
     sharpness_rate: Annotated[float, at_least(0)] = 1e-3
     """Learning rate of a tenth of its logarithm."""
 

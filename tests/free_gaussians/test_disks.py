@@ -183,3 +183,19 @@ def test_it_learns():
     session.run()
     assert session.curve[-1]["psnr"] > first["psnr"] + 4
     assert session.mesh().to_trimesh().is_watertight
+
+
+def test_slopes_of_the_normal_term():
+    """In both normals, the drawn one and that of the depths, and in the opacity."""
+    at = Camera(world_to_camera=torch.eye(4, dtype=torch.float64), fx=60.0, fy=60.0, cx=3.0, cy=3.0, width=6, height=6)
+    random = torch.Generator().manual_seed(0)
+    normal, depth, alpha = (
+        torch.rand(*shape, dtype=torch.float64, generator=random) for shape in ((6, 6, 3), (6, 6), (6, 6))
+    )
+    inputs = normal, 2 + 0.1 * depth, 0.6 + 0.3 * alpha
+
+    def term(normals: torch.Tensor, depths: torch.Tensor, alphas: torch.Tensor) -> torch.Tensor:
+        rendering = Rendering(rgb=torch.zeros(6, 6, 3), alpha=alphas, depth=depths, normal=normals)
+        return normal_difference(rendering, at)
+
+    assert gradcheck(term, tuple(each.requires_grad_() for each in inputs))

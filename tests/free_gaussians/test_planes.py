@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from scipy.special import lambertw
 from torch.autograd import gradcheck
 
 import sculpt_framework as sculpt
@@ -95,12 +96,40 @@ def test_slopes_of_the_match():
         match = match_planes(maps, images[0], moved, images[1], 3, torch.Generator().manual_seed(1))
         return match.unlike, match.missed
 
-    # The weight is not differentiated, so the first is the slope where it does not change: at the same miss.
-    matched = value(small)
-    assert float(matched[0].detach()) > 0
-    matched[0].backward()
-    assert small.grad is not None
-    assert torch.isfinite(small.grad).all()
+    def parts(given: torch.Tensor) -> tuple[float, float]:
+        """Pixels missed and 1 - NCC of the one place: of w m and w (1 - NCC), with w = exp(-m), and m below 1."""
+        unlike, weighted = value(given)
+        missed = -float(lambertw(-float(weighted)).real)
+        return missed, float(unlike) * math.exp(missed)
+
+    # The weight is not differentiated.
+    unlike, missed = value(small)
+    weight = math.exp(-parts(small.detach())[0])
+    slopes = [torch.autograd.grad(found, small, retain_graph=True)[0] for found in (missed, unlike)]
+    for place in range(4):
+        step = torch.zeros(4, dtype=torch.float64)
+        step[place] = 1e-6
+        ends = zip(parts(small.detach() + step), parts(small.detach() - step), strict=True)
+        for slope, (above, below) in zip(slopes, ends, strict=True):
+            assert float(slope[place]) == pytest.approx(weight * (above - below) / 2e-6, rel=1e-4, abs=1e-6)
+
+
+def test_slopes_of_depths_and_of_the_single_view():
+    at = replace(camera(0.0), cx=3.0, cy=3.0, width=6, height=6)
+    random = torch.Generator().manual_seed(3)
+    normal = SLANTED + 0.1 * torch.rand(6, 6, 3, dtype=torch.float64, generator=random)
+    distance = -2 + 0.1 * torch.rand(6, 6, dtype=torch.float64, generator=random)
+    rgb = torch.rand(6, 6, 3, dtype=torch.float64, generator=random)
+
+    def maps(normals: torch.Tensor, distances: torch.Tensor) -> PlaneMaps:
+        return PlaneMaps(normal=normals, distance=distances, covered=torch.ones(6, 6, dtype=torch.bool))
+
+    inputs = normal.requires_grad_(), distance.requires_grad_()
+    assert gradcheck(lambda *given: depths_of(maps(*given), at), inputs)
+    assert gradcheck(lambda *given: single_view(maps(*given), at, rgb), inputs)
+
+
+def test_slopes_of_the_correlation():
     patches = torch.rand(4, 9, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
     assert gradcheck(lambda own: correlation(own, patches.flip(0)), (patches.clone().requires_grad_(),))
     even = torch.full((1, 9), 0.5, dtype=torch.float64, requires_grad=True)

@@ -1,16 +1,20 @@
 """The volumes of the methods: known answers, gradients, what is said at their limits."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
 from torch import nn
 from torch.autograd import gradcheck
 
+import sculpt_framework as sculpt
 from sculpt_framework.volume_rendering.logistic import opacity
 from sculpt_framework.volume_rendering.sdf_volume import bending, eikonal, slopes, values_around
 from sculpt_framework.volume_rendering.stretches import OccupiedCells, Rays, stretches_of
 from sculpt_framework.volume_rendering.weights import weigh
+from sculpt_plugins.methods.nerf.config import NerfConfig
+from sculpt_plugins.methods.nerf.volume import NerfVolume
 from sculpt_plugins.methods.volsdf.volume import density
 
 FULL = OccupiedCells(occupied=torch.ones(4, 4, 4, dtype=torch.bool), low=(-1.0, -1.0, -1.0), cell=0.5)
@@ -76,6 +80,27 @@ def test_slopes_of_opacity_and_density():
     assert gradcheck(lambda given, of: opacity(given, given - 0.03, of), (sdf, sharpness))
     beta = torch.tensor(0.1, dtype=torch.float64, requires_grad=True)
     assert gradcheck(density, (sdf, beta))
+
+
+def test_nerf_hides_by_its_density_and_its_slope_is_known():
+    """With nothing learned the logarithm of the density is 1 - 4 r^2, plus what the decoder's bias adds."""
+    config = sculpt.methods["nerf"]()
+    assert isinstance(config, NerfConfig)
+    small = replace(config, radiance=replace(config.radiance, num_levels=2, log2_table=8, hidden_units=4))
+    volume = NerfVolume(small).double()
+    # Of the layer that says the density and the features for the colour.
+    weight, bias = (parameter for parameter in volume.parameters() if len(parameter) == 1 + config.features)
+    with torch.no_grad():
+        weight.zero_()
+        bias.zero_()
+    rays = Rays(origins=ALONG.origins.double(), directions=ALONG.directions.double())
+    stretches = stretches_of(rays, FULL, 0.05)
+    exact = (1 - 4 * stretches.points(rays, 0.5).square().sum(dim=1)).exp()
+    alphas = volume.alphas(rays, stretches)
+    assert torch.allclose(alphas.detach(), 1 - (-0.05 * exact).exp(), rtol=1e-6)
+    (slope,) = torch.autograd.grad(alphas.sum(), bias)
+    assert float(slope[0]) == pytest.approx(float((0.05 * exact * (-0.05 * exact).exp()).sum()), rel=1e-6)
+    assert slope[1:].abs().max() == 0
 
 
 class Cone(nn.Module):

@@ -14,6 +14,7 @@ import numpy as np
 import torch
 
 from sculpt_framework.memory import collector_paused
+from sculpt_framework.user_cache import user_cache
 
 with collector_paused():
     import numba
@@ -74,7 +75,7 @@ class CompileSeconds:
 
 def _user_folder() -> Path:
     """The user's cache folder, or one under the system's temporary folder where home is read-only."""
-    candidate = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "gaussian-sculpting"
+    candidate = user_cache()
     try:
         candidate.mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=candidate).close()

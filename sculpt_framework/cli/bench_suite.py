@@ -62,9 +62,9 @@ def suite(words: Sequence[str]) -> None:
     request = tyro.cli(SuiteRequest, args=own, prog=PROGRAM)
     _check(request)
 
-    from sculpt_framework.experiments.budgets import told_apart
     from sculpt_framework.experiments.carry_out import carry_out
     from sculpt_framework.experiments.matrix import Budget, Setting, check_extra, config_of, cross
+    from sculpt_framework.experiments.results import results_csv, told_apart
     from sculpt_framework.experiments.suites import find_suite
 
     check_extra(extra)
@@ -102,7 +102,6 @@ def suite(words: Sequence[str]) -> None:
             page=lambda results: capture_page(told_apart(results), found, request.against, folder),
         )
     else:
-        from sculpt_framework.experiments.results import results_csv
         from sculpt_framework.experiments.suite_page import suite_page
         from sculpt_framework.experiments.suite_tables import notes, suite_tables
 

@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import os
 import shutil
 import tempfile
 from collections.abc import Callable, Sequence
@@ -21,6 +20,7 @@ from sculpt_framework.demo_scenes.reference import reference_mesh
 from sculpt_framework.demo_scenes.tracing import render, surface_color
 from sculpt_framework.errors import OutputError
 from sculpt_framework.types import Camera
+from sculpt_framework.user_cache import user_cache
 
 Progress = Callable[[int, int], None]
 """Told how many of how many images are done."""
@@ -72,7 +72,7 @@ def cached_scene(item: DemoObject, settings: DemoSettings) -> Path:
     """
     chosen = "-".join(str(value) for value in asdict(settings).values())
     place = Path("demo") / f"{_revision()}-{chosen}" / item.name
-    folder = _cache_root() / place
+    folder = user_cache() / place
     if (folder / "transforms_train.json").is_file():
         return folder
     try:
@@ -83,11 +83,6 @@ def cached_scene(item: DemoObject, settings: DemoSettings) -> Path:
         folder = Path(tempfile.mkdtemp(prefix="sculpt-")) / item.name
         write_scene(item, settings, folder)
     return folder
-
-
-def _cache_root() -> Path:
-    base = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA")
-    return (Path(base) if base else Path.home() / ".cache") / "gaussian-sculpting"
 
 
 def _revision() -> str:

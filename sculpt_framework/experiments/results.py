@@ -70,6 +70,23 @@ def records(results: Sequence[CellResult], *, budget: str | None = None, scene: 
     ]
 
 
+def told_apart(results: Sequence[CellResult]) -> list[CellResult]:
+    """The same; where there is more than one budget, each setting's name ends in that of its budget."""
+    if len({result.cell.budget for result in results}) < 2:
+        return list(results)
+    return [_with_budget(result) for result in results]
+
+
+def _with_budget(result: CellResult) -> CellResult:
+    budget, record = result.cell.budget, result.record
+    name = f"{result.cell.setting}, {budget.phrase if budget else 'its own length'}"
+    return replace(
+        result,
+        cell=replace(result.cell, setting=name),
+        record=None if record is None else replace(record, method=name),
+    )
+
+
 def median_final(found: Sequence[RunRecord], name: str) -> float | None:
     """Median of a figure of metrics.json over the runs that have it; failures have none."""
     values = [record.final.get(name) for record in found if not record.failed]

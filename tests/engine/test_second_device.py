@@ -113,7 +113,10 @@ def test_training_is_the_same_on_another_device(
     with everything_away(monkeypatch):
         there = train(replace(config, rasterizer=AcrossConfig(drawing=drawing)), scene).result
     np.testing.assert_array_equal(there.faces, here.faces)
-    np.testing.assert_allclose(there.vertices, here.vertices, rtol=0, atol=1e-4)
+    apart = np.abs(there.vertices - here.vertices)
+    assert np.quantile(apart, 0.99) < 5e-5
+    # Adam makes a whole step of a rounding, where a slope is next to nothing.
+    assert apart.max() < 0.01 * np.ptp(here.vertices, axis=0).min() / config.trainer.base_cells
     np.testing.assert_allclose(there.colors, here.colors, rtol=0, atol=1e-2)
 
 

@@ -1,7 +1,8 @@
 """Configurations as JSON and back, through the registry: ``{"type": "hash-grid", "num_levels": 7, ...}``.
 
 Types are read off the dataclasses, so a new component needs nothing here. What does not fit raises ConfigError with
-the key and the expected type; nothing in a file can run code.
+the key and the expected type; nothing in a file can run code. An option that is gone stays in its class's ``GONE`` with
+the value that runs have had: files that say the same are read.
 """
 
 import json
@@ -238,9 +239,14 @@ def _decode_component(base: type[ComponentConfig], value: object, path: str) -> 
 
 
 def _decode_dataclass(kind: type[Any], value: Mapping[str, object], path: str) -> Any:
-    known = {each.name: each for each in fields(kind)}
-    for key in value:
-        if key not in known:
+    known, gone = {each.name: each for each in fields(kind)}, vars(kind).get("GONE", {})
+    for key, said in value.items():
+        if key in gone and said != gone[key]:
+            left = json.dumps(gone[key])
+            raise ConfigError(
+                f"{_join(path, str(key))} is {json.dumps(said)}; the option is gone, {left} is what is left."
+            )
+        if key not in known and key not in gone:
             near = registry.closest(str(key), known)
             hint = f"Did you mean {near!r}?" if near else f"Known here: {', '.join(known)}."
             raise ConfigError(f"{_join(path, str(key))} is not a known key. {hint}")
@@ -248,7 +254,7 @@ def _decode_dataclass(kind: type[Any], value: Mapping[str, object], path: str) -
     for name, each in known.items():
         if name not in value and each.default is MISSING and each.default_factory is MISSING:
             raise ConfigError(f"{_join(path, name)} is missing.")
-    decoded = {name: _decode(hints[name], item, _join(path, name)) for name, item in value.items()}
+    decoded = {name: _decode(hints[name], item, _join(path, name)) for name, item in value.items() if name in known}
     try:
         return kind(**decoded)
     except ValueError as error:

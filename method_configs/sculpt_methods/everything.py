@@ -33,16 +33,11 @@ def gaussian_sculpting_everything() -> SculptingConfig:
         checkpoint_seconds=60.0,
         field=HashGridFieldConfig(
             num_levels=7,
-            features_per_level=2,
             log2_table=19,
             base_resolution=4,
             finest_resolution=256,
-            hidden_units=0,
             sphere_radius=0.5,
             rate=0.004,  # of one number per corner; two that moved alike at 0.002 each were the same field
-            decoder_rate=0.002,
-            level_falloff=1.0,
-            coarse_to_fine=True,
         ),
         extractor=FlexiCubesConfig(
             split="diagonal",
@@ -84,10 +79,7 @@ def gaussian_sculpting_everything() -> SculptingConfig:
             maps=50,
             depths=64,
             neighbours=8,
-            best_of=3,
-            ambiguity=1.5,
             agreeing=2,
-            margin=0.7,
         ),
         dataset=AutoDatasetConfig(
             downscale=None,
@@ -99,7 +91,6 @@ def gaussian_sculpting_everything() -> SculptingConfig:
             ),
             SilhouetteConfig(
                 weight=1.0,
-                power=1.0,
             ),
             EikonalConfig(
                 weight=0.01,
@@ -143,7 +134,6 @@ def gaussian_sculpting_everything() -> SculptingConfig:
             stages=(
                 StageConfig(
                     share=1.0,
-                    time_share=None,
                     level=2,
                     image_scale=1.0,
                     inner_steps=4,

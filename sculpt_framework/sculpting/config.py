@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from sculpt_framework.config import (
     AppearanceConfig,
@@ -30,11 +30,10 @@ if TYPE_CHECKING:
 class StageConfig:
     """A stretch of training at one grid level and one image size."""
 
+    GONE: ClassVar = {"time_share": None}
+
     share: Annotated[float, above(0)]
-    """Share of the outer steps that this stage takes; relative."""
-    time_share: Annotated[float | None, above(0)] = None
-    """Share of the time that this stage takes under ``--max-time``, relative; default: the same as ``share``. Fine
-    stages cost more per step."""
+    """Share of the outer steps, or of the time under ``--max-time``, that this stage takes; relative."""
     level: Annotated[int, between(0, 10)]
     """Grid level: cells are halved with each level."""
     image_scale: Annotated[float, above(0, at_most=1)]

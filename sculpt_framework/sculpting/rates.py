@@ -15,9 +15,7 @@ class Rates:
 
     def __init__(self, config: TrainerConfig, *, timed: bool):
         """Raises ValueError without stages or where one has no share."""
-        shares = [
-            stage.time_share if timed and stage.time_share is not None else stage.share for stage in config.stages
-        ]
+        shares = [stage.share for stage in config.stages]
         if not shares or min(shares) <= 0:
             raise ValueError("a schedule needs stages with positive shares")
         total = sum(shares)

@@ -21,6 +21,10 @@ _TOLERANCE = 1.5
 """Depths are the same within so many steps of the sweep."""
 _WORST = 0.06
 """Mean difference of colours above which no depth is believed; colours are in [0, 1]."""
+_BEST_OF = 3
+"""Of the views compared with, the best matching ones that count: the others may not see the point."""
+_AMBIGUITY = 1.5
+"""The nearest depth is taken whose cost is at most so many times the best one's."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,10 +35,6 @@ class SweepOptions:
     """Depths tried across the object."""
     neighbours: int
     """Views compared with."""
-    best_of: int
-    """Of these, the best matching ones that count: the others may not see the point."""
-    ambiguity: float
-    """The nearest depth is taken whose cost is at most so many times the best one's."""
     agreeing: int
     """Points of other views that must fall on a depth for it to be kept."""
 
@@ -62,7 +62,7 @@ def find_depths(views: PackedViews, solid: Volume, options: SweepOptions) -> Dep
     steps = []
     swept = set(np.linspace(0, len(views) - 1, min(options.views, len(views))).round().astype(int).tolist())
     for i, others in enumerate(views.neighbours(options.neighbours, _ANGLE, _ANGLES)):
-        if i not in swept or len(others) < options.best_of:
+        if i not in swept or len(others) < _BEST_OF:
             continue
         distance = float(np.linalg.norm(views.positions[i]))
         near, far = max(distance - radius, 0.02 * distance), distance + radius
@@ -81,8 +81,8 @@ def find_depths(views: PackedViews, solid: Volume, options: SweepOptions) -> Dep
             inside,
             origin,
             np.float32(solid.cell),
-            options.best_of,
-            np.float32(options.ambiguity),
+            _BEST_OF,
+            np.float32(_AMBIGUITY),
             np.float32(_WORST),
             depths[i],
         )
@@ -114,7 +114,7 @@ def refine_depths(fine: PackedViews, views: PackedViews, maps: DepthMaps, option
             views.lenses[i],
             np.float32(step / float(np.linalg.norm(fine.positions[i])) ** 2),
             int(np.ceil(maps.step / step)),
-            options.best_of,
+            _BEST_OF,
             np.float32(_WORST),
             depths[i],
             coarse[i],

@@ -136,6 +136,11 @@ def change(data: dict[str, Any], key: str, value: Any) -> None:
         ("trainer", ..., "trainer is missing."),
         ("trainer", 3, "trainer is 3; expected an object."),
         ("trainer.stages.0", {"share": 1}, "trainer.stages[0].level is missing."),
+        (
+            "trainer.stages.1.time_share",
+            2,
+            "trainer.stages[1].time_share is 2; the option is gone, null is what is left.",
+        ),
         ("trainer.stages.1.inner_steps", "many", 'trainer.stages[1].inner_steps is "many"; expected a whole number.'),
     ],
 )

@@ -24,7 +24,7 @@ from sculpt_plugins.initializers.photo_hull.config import PhotoHullConfig
 CPU = torch.device("cpu")
 HALF_SIDES = torch.tensor([1.0, 1.0, 1.0])
 SIDE = 96
-OPTIONS = SweepOptions(views=40, depths=48, neighbours=6, best_of=3, ambiguity=1.5, agreeing=2)
+OPTIONS = SweepOptions(views=40, depths=48, neighbours=6, agreeing=2)
 
 
 def dented_ball(p):

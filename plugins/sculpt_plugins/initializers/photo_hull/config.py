@@ -1,7 +1,7 @@
 """What the silhouettes and the agreement of colours say."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from sculpt_framework.config import InitializerConfig
 from sculpt_framework.ranges import at_least
@@ -13,6 +13,8 @@ if TYPE_CHECKING:
 @dataclass(frozen=True, kw_only=True)
 class PhotoHullConfig(InitializerConfig):
     """The visual hull, carved where the colours of several views agree on a surface deeper inside."""
+
+    GONE: ClassVar = {"best_of": 3, "ambiguity": 1.5, "margin": 0.7}
 
     max_views: Annotated[int, at_least(1)] = 100
     """Use at most so many views, spread evenly over the list."""
@@ -28,14 +30,8 @@ class PhotoHullConfig(InitializerConfig):
     """Depths tried across the object, per pixel."""
     neighbours: Annotated[int, at_least(1)] = 8
     """Views each view is compared with."""
-    best_of: Annotated[int, at_least(1)] = 3
-    """Of these, the best matching ones that count: the others may not see the point."""
-    ambiguity: Annotated[float, at_least(1)] = 1.5
-    """Take the nearest depth whose difference of colours is at most so many times the smallest. Larger: carve less."""
     agreeing: Annotated[int, at_least(0)] = 2
     """Views that must have the same depth for it to be believed."""
-    margin: Annotated[float, at_least(0)] = 0.7
-    """Leave alone what is less deep below the hull than this, in steps of depth: no depth is more exact."""
 
     def build(self) -> "PhotoHull":
         from sculpt_plugins.initializers.photo_hull.initializer import PhotoHull

@@ -17,6 +17,9 @@ from sculpt_framework.shape_from_images.within_hull import within_hull
 from sculpt_framework.types import View
 from sculpt_plugins.initializers.photo_hull.config import PhotoHullConfig
 
+_MARGIN = 0.7
+"""What is less deep below the hull is left alone, in steps of depth: no depth is more exact."""
+
 
 class PhotoHull(Initializer):
     """Deep hollows that no silhouette shows are out of reach of the gradients of an opaque surface; views side by side
@@ -38,8 +41,6 @@ class PhotoHull(Initializer):
             views=config.maps,
             depths=config.depths,
             neighbours=config.neighbours,
-            best_of=config.best_of,
-            ambiguity=config.ambiguity,
             agreeing=config.agreeing,
         )
         maps = find_depths(packed, solid, options)
@@ -50,4 +51,4 @@ class PhotoHull(Initializer):
         for level in range(config.refinements):
             finer = pack_views(views, float(2**level * config.pixels))
             packed, maps = finer, refine_depths(finer, packed, maps, options)
-        return carve(solid, packed, maps, config.margin * maps.step)
+        return carve(solid, packed, maps, _MARGIN * maps.step)

@@ -1,8 +1,7 @@
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, ClassVar
 
 from sculpt_framework.config import LossConfig
-from sculpt_framework.ranges import above
 
 if TYPE_CHECKING:
     from sculpt_plugins.losses.silhouette.loss import Silhouette
@@ -12,12 +11,12 @@ if TYPE_CHECKING:
 class SilhouetteConfig(LossConfig):
     """Coverage against the mask, where the images have one."""
 
+    GONE: ClassVar = {"power": 1.0}
+
     weight: float = 1.0
     """Factor in the outer loss."""
-    power: Annotated[float, above(0)] = 1.0
-    """1: mean absolute difference, 2: mean squared difference."""
 
     def build(self) -> "Silhouette":
         from sculpt_plugins.losses.silhouette.loss import Silhouette
 
-        return Silhouette(self.power)
+        return Silhouette()

@@ -8,15 +8,11 @@ from sculpt_framework.types import Rendering
 
 
 class Silhouette(ImageLoss):
-    """Mean over pixels of |alpha - mask|^power; 0 where the image has no mask."""
+    """Mean over pixels of |alpha - mask|; 0 where the image has no mask."""
 
     outline = True
-
-    def __init__(self, power: float):
-        self._power = power
 
     def __call__(self, rendering: Rendering, target: Target) -> Float[Tensor, ""]:
         if target.alpha is None:
             return rendering.alpha.new_zeros(())
-        difference = rendering.alpha - target.alpha
-        return difference.square().mean() if self._power == 2.0 else difference.abs().pow(self._power).mean()
+        return (rendering.alpha - target.alpha).abs().mean()

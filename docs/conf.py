@@ -19,6 +19,7 @@ html_theme = "furo"
 html_title = f"Gaussian Sculpting {version}"
 html_copy_source = False
 myst_heading_anchors = 3
+myst_enable_extensions = ["dollarmath"]
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_preserve_defaults = True

@@ -66,7 +66,7 @@ class ImageLoss(Term, ABC):
     """A term of one view's rendering."""
 
     inner: ClassVar[bool] = False
-    """The Gaussians learn their colours from it, in the inner loop (paper, eq. 11). A run needs such a term."""
+    """The Gaussians learn their colours from it, in the inner loop (paper, eq. 12). A run needs such a term."""
     outline: ClassVar[bool] = False
     """It looks at masks alone: what a silhouette stage goes by (paper, 3.3)."""
 

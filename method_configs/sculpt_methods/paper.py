@@ -49,8 +49,8 @@ def gaussian_sculpting_paper() -> SculptingConfig:
             scale=1.0,  # eq. 2: exactly
             fit_outline=False,  # eq. 1: on the face
             rotation_rate=0.0,  # 3.1 the frame is the face's R_f
-            opacity="fixed",  # eq. 10: "remove the gradient of opacity and fix it close to 1"
-            theta=0.99,  # eq. 10 "theta -> 1"; the number is ours
+            opacity="fixed",  # eq. 11: "remove the gradient of opacity and fix it close to 1"
+            theta=0.99,  # eq. 11 "theta -> 1"; the number is ours
             scale_rate=5e-3,  # 4.1 "default settings of 3DGS"
             barycentric_rate=1e-3,  # 3DGS has none; GaMeS' value
         ),
@@ -61,7 +61,7 @@ def gaussian_sculpting_paper() -> SculptingConfig:
         ),
         initializer=SphereConfig(),  # 4.1 "geometric initialization"
         losses=(
-            PhotometricConfig(dssim=0.2),  # eq. 11, with 3DGS' lambda
+            PhotometricConfig(dssim=0.2),  # eq. 12, with 3DGS' lambda
             SilhouetteConfig(weight=1.0),  # 3.3 "a silhouette mask loss"; form and weight are ours
             EikonalConfig(weight=0.1),  # not in the paper; an SDF needs it
             DeviationConfig(weight=0.5),  # FlexiCubes' own

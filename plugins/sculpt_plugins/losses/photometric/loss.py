@@ -1,4 +1,4 @@
-"""Colour difference (paper, eq. 11)."""
+"""Colour difference (paper, eq. 12)."""
 
 from collections.abc import Sequence
 

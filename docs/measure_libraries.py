@@ -1,10 +1,11 @@
-"""What libraries would cost where the project writes its own: charts, configurations as JSON, mesh files.
+"""What libraries would cost where the project writes its own: charts, configurations as JSON, mesh files, Adam.
 
     pip install matplotlib pydantic cattrs msgspec        # none of them is needed otherwise
     python docs/measure_libraries.py
 
-Told are CPU seconds to load each of them that is installed, of a chart of three lines of 50 points, and of a sphere of
-330 000 coloured faces as PLY, OBJ and GLB; medians, with the sizes of what is written.
+Told are CPU seconds to load each of them that is installed, of a chart of three lines of 50 points, of a sphere of
+330 000 coloured faces as PLY, OBJ and GLB, and of steps of Adam on a million numbers by one thread; medians, with the
+sizes of what is written.
 """
 
 import io
@@ -20,10 +21,13 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+import torch
 import trimesh
 
+from sculpt_framework.adam import Adam
 from sculpt_framework.evaluation.charts import Axis, Series, line_chart
 from sculpt_framework.export.mesh_files import write_mesh_glb, write_mesh_obj, write_mesh_ply
+from sculpt_framework.parameters import ParameterGroup
 
 REPEATS = 5
 LOADED = {
@@ -31,6 +35,9 @@ LOADED = {
     "pydantic": "import pydantic; pydantic.TypeAdapter(int)",
     "cattrs": "import cattrs",
     "msgspec": "import msgspec",
+    "pycolmap": "import pycolmap",
+    "torch": "import torch",
+    "torch with its Adam": "import torch; torch.optim.Adam([torch.zeros(1, requires_grad=True)])",
 }
 SECONDS = np.geomspace(1, 100, 50)
 LINES = {f"run {index}": 0.3 / SECONDS ** (0.3 + 0.1 * index) for index in range(3)}
@@ -39,13 +46,25 @@ LINES = {f"run {index}": 0.3 / SECONDS ** (0.3 + 0.1 * index) for index in range
 def main() -> None:
     empty = loading("pass")
     for name, statement in LOADED.items():
-        if find_spec(name):
+        if find_spec(name.split()[0]):
             print(f"loading {name}: {loading(statement) - empty:.2f} s", flush=True)
     charts = {"ours": our_chart} | ({"matplotlib": matplotlib_chart} if find_spec("matplotlib") else {})
     for name, chart in charts.items():
         seconds, text = timed(chart)
         print(f"a chart, {name}: {1e3 * seconds:.1f} ms, {len(text) / 1024:.0f} kB", flush=True)
     mesh_files()
+    steps_of_adam()
+
+
+def steps_of_adam() -> None:
+    torch.set_num_threads(1)
+    for name in ("ours", "torch's", "torch's, fused"):
+        parameter = torch.nn.Parameter(torch.zeros(1_000_000))
+        parameter.grad = torch.randn(1_000_000)
+        theirs = torch.optim.Adam([parameter], lr=1e-3, fused=name.endswith("fused"))
+        ours = Adam([ParameterGroup(parameters=[parameter], rate=1e-3)])
+        seconds, _ = timed(lambda chosen=ours if name == "ours" else theirs: [chosen.step() for _ in range(20)])
+        print(f"a step of Adam, {name}: {1e3 * seconds / 20:.2f} ms", flush=True)
 
 
 def mesh_files() -> None:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from importlib.util import find_spec
 
 import pytest
 import torch
@@ -61,8 +62,9 @@ def gsplat() -> Backend:
 
 # Lanes that are masked out afterwards divide by zero; only numpy, in the interpreter's place, minds.
 INTERPRETED = pytest.mark.filterwarnings("ignore::RuntimeWarning:triton.runtime.interpreter")
+WITH_GSPLAT = pytest.mark.skipif(find_spec("gsplat") is None, reason="gsplat is not installed")
 BACKENDS = [
     pytest.param(numba, id="numba"),
     pytest.param(triton, id="triton", marks=INTERPRETED),
-    pytest.param(gsplat, id="gsplat", marks=pytest.mark.gpu),
+    pytest.param(gsplat, id="gsplat", marks=[pytest.mark.gpu, WITH_GSPLAT]),
 ]

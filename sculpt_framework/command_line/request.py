@@ -65,11 +65,18 @@ def read_request(words: Sequence[str]) -> TrainRequest:
 
 def overview() -> str:
     """The text of ``sculpt-train --help``."""
-    width = max(len(name) for name in registry.method_names()) + 2
-    methods = "\n".join(f"  {name:{width}}{_first_line(name)}" for name in registry.method_names())
-    return OVERVIEW.format(methods=methods)
+    names = registry.method_names()
+    of_paper = [name for name in names if name.removesuffix(PAPER) != name and name.removesuffix(PAPER) in names]
+    width = max(map(len, names)) + 2
+    lines = [f"  {name:{width}}{_first_line(name)}" for name in names if name not in of_paper]
+    if of_paper:
+        same = ", ".join(name.removesuffix(PAPER) for name in of_paper)
+        lines.append(f"  {'NAME' + PAPER:{width}}The same at the size of its paper, hours on a GPU: {same}.")
+    return OVERVIEW.format(methods="\n".join(lines))
 
 
+PAPER = "-paper"
+"""Ends the names of methods that another one has at the size of its paper."""
 OVERVIEW = """\
 usage: sculpt-train METHOD --data DIR|demo|demo:NAME [options]
        sculpt-train --resume RUN_DIR [options]

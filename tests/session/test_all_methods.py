@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 import urllib.request
+from dataclasses import fields, replace
 from pathlib import Path
 
 import pytest
@@ -27,6 +28,11 @@ SMALL = {
     "gaussian-sculpting": BI_LEVEL,
 }
 """Of every method of the paper's tables, options with which a step is a matter of milliseconds."""
+SIZES = {
+    *("method", "steps", "rays", "steps_across", "final_rate", "field", "mesh_cells", "sharpness", "sharpness_rate"),
+    *("beta_rate", "gaussians", "sh_every", "density", "rates", "mesh_gaussians", "samples", "poisson", "guidance"),
+}
+"""Of methods, what has another value at the size of their papers."""
 
 
 def command(name: str, *words: str) -> list[str]:
@@ -54,9 +60,17 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_none_is_left_out():
-    assert set(registry.method_names()) == set(SMALL) | {
-        f"gaussian-sculpting-{variant}" for variant in ("fine", "everything", "paper", "tiny")
-    }
+    ours = {f"gaussian-sculpting-{variant}" for variant in ("fine", "everything", "tiny")}
+    assert set(registry.method_names()) == set(SMALL) | {f"{name}-paper" for name in SMALL} | ours
+
+
+@pytest.mark.parametrize("name", [name for name in SMALL if name != "gaussian-sculpting"])
+def test_the_size_of_its_paper_is_the_same_method(name: str):
+    small, whole = registry.load_method(name)(), registry.load_method(f"{name}-paper")()
+    assert type(whole) is type(small)
+    assert whole.steps > 5 * small.steps
+    as_small = replace(whole, **{each.name: getattr(small, each.name) for each in fields(small) if each.name in SIZES})
+    assert as_small == small
 
 
 @pytest.mark.slow

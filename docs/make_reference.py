@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any, cast, get_type_hints
 
 from sculpt_framework import registry
+from sculpt_framework.cli.bench import COMMANDS as BENCH_COMMANDS
 from sculpt_framework.cli.sculpt import RARE, USUAL
 from sculpt_framework.command_line.options import HIDDEN
 from sculpt_framework.config import ComponentConfig, MethodConfig
@@ -41,24 +42,40 @@ def main() -> int:
 
 def commands() -> str:
     """The help texts, as the parsers print them."""
-    asked: list[tuple[str, str, list[str]]] = []
-    for command in (*USUAL, *RARE):
-        program = f"sculpt-{command.name}"
-        asked.append((f"## {program}", command.module, []))
-        if command.name == "train":
-            asked.append((f"### {program} gaussian-sculpting", command.module, ["gaussian-sculpting"]))
-        if command.name == "data":
-            own = re.findall(r"^ {4}([a-z-]+)(?= |$)", help_of(command.module, []), re.MULTILINE)
-            asked += [(f"### {program} {name}", command.module, [name]) for name in own]
+    asked = list(all_words())
     with ThreadPoolExecutor(os.cpu_count()) as threads:
-        said = list(threads.map(lambda each: help_of(each[1], each[2]), asked))
-    parts = [f"{heading}\n\n```text\n{text}\n```\n" for (heading, _, _), text in zip(asked, said, strict=True)]
-    return "\n".join(["# Commands\n\nWhat `--help` prints.\n", *parts])
+        said = list(threads.map(help_of, asked))
+    parts = [
+        f"{'##' if len(words) < 2 else '###'} {program(words)}\n\n```text\n{text}\n```\n"
+        for words, text in zip(asked, said, strict=True)
+    ]
+    return "\n".join(["# Commands\n\nWhat `--help` prints. Options of methods: [methods](methods.md).\n", *parts])
 
 
-def help_of(module: str, words: list[str]) -> str:
+def program(words: tuple[str, ...]) -> str:
+    """The command as it is typed: ``sculpt``, or ``sculpt-`` and its name, and what follows."""
+    return " ".join(("-".join(("sculpt", *words[:1])), *words[1:]))
+
+
+def all_words() -> Iterator[tuple[str, ...]]:
+    """The words after ``sculpt`` whose help is shown: none, each command, and those that follow a command."""
+    yield ()
+    for command in (*USUAL, *RARE):
+        yield (command.name,)
+        if command.name == "train":
+            yield (command.name, "gaussian-sculpting")
+        if command.name == "data":
+            own = re.findall(r"^ {4}([a-z-]+)(?= |$)", help_of((command.name,)), re.MULTILINE)
+            yield from ((command.name, name) for name in own)
+        if command.name == "export":
+            yield from ((command.name, "--format", name) for name in registry.export_formats())
+        if command.name == "bench":
+            yield from ((command.name, name) for name in BENCH_COMMANDS)
+
+
+def help_of(words: tuple[str, ...]) -> str:
     environment = {**os.environ, "COLUMNS": str(WIDTH), "TERM": "dumb", "NO_COLOR": "1"}
-    command = [sys.executable, "-m", f"sculpt_framework.cli.{module}", *words, "--help"]
+    command = [sys.executable, "-m", "sculpt_framework.cli.sculpt", *words, "--help"]
     done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
     return done.stdout.strip()
 

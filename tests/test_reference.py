@@ -2,9 +2,12 @@
 
 import re
 
-from make_reference import HIDDEN, methods
+import pytest
+from make_reference import HIDDEN, all_words, help_of, methods
 
 from sculpt_framework import registry
+from sculpt_framework.cli.bench import COMMANDS
+from sculpt_framework.cli.sculpt import RARE, USUAL
 from sculpt_framework.command_line.options import flags
 from sculpt_framework.command_line.request import parse
 
@@ -34,3 +37,19 @@ def test_what_a_method_sets_otherwise_is_shown():
     assert "| `density.end` | `0.47` |" in text  # sugar
     assert "`damp-grazing True`" in text
     assert "| `trainer.base-cells` | `48` | `32` |" in text
+
+
+def test_every_command_that_has_commands_is_described_with_them():
+    words = list(all_words())
+    assert {word[0] for word in words if word} == {command.name for command in (*USUAL, *RARE)}
+    assert {word[1] for word in words if word[:1] == ("bench",) and len(word) > 1} == set(COMMANDS)
+    assert ("data", "pose-board") in words
+    assert ("data", "inspect") in words
+    assert {word[2] for word in words if word[1:2] == ("--format",)} == set(registry.export_formats())
+
+
+@pytest.mark.parametrize(
+    "words", [("bench",), ("bench", "suite"), ("eval",), ("report",), ("export", "--format", "stl")]
+)
+def test_the_help_is_what_the_command_says(words: tuple[str, ...]):
+    assert help_of(words).startswith(f"usage: sculpt-{words[0]}")

@@ -14,7 +14,9 @@ from sculpt_framework.export.gaussian_files import write_gaussians_ply
 from sculpt_framework.types import Gaussians
 
 ROOT = Path(__file__).parents[1]
-PAGES = sorted((*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")))
+PAGES = sorted(
+    page for page in (*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")) if "generated" not in page.relative_to(ROOT).parts
+)
 
 
 def test_the_tables_of_choices_are_those_of_the_code():
@@ -43,9 +45,32 @@ def test_every_event_and_every_property_of_a_gaussian_is_described(tmp_path: Pat
     assert [name for name in names if name not in described and name.rstrip("0123456789") not in runs] == []
 
 
+def headings(page: Path) -> set[str]:
+    """The places of a page that links may lead to: its headings as GitHub and the site write them."""
+    text = re.sub(r"^ *```.*?^ *```$", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    found: dict[str, int] = {}
+    # docs/conf.py: myst_heading_anchors.
+    for heading in re.findall(r"^#{1,3} +(.*?) *#*$", text, flags=re.MULTILINE):
+        shown = re.sub(r"\[([^\]]*)\]\([^)]*\)|`", r"\1", heading)
+        slug = re.sub(r"[^\w\- ]", "", shown.lower()).replace(" ", "-")
+        found[slug] = found.get(slug, -1) + 1
+    return {slug if number == 0 else f"{slug}-{number}" for slug, most in found.items() for number in range(most + 1)}
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_links_lead_somewhere(page: Path):
     text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.S)
-    targets = [target for target in re.findall(r"\]\(([^)#\s]+)[^)]*\)", text) if "://" not in target]
-    missing = [target for target in targets if not (page.parent / target).exists()]
-    assert not missing
+    targets = [target for target in re.findall(r"\]\(([^)\s]+)[^)]*\)", text) if "://" not in target]
+    places = [
+        (page.parent / path if path else page, place) for path, _, place in (each.partition("#") for each in targets)
+    ]
+    assert [path for path, _ in places if not path.exists()] == []
+    assert [(path.name, place) for path, place in places if place and place not in headings(path)] == []
+
+
+def test_headings_are_written_as_github_writes_them(tmp_path: Path):
+    page = tmp_path / "page.md"
+    page.write_text(
+        "# What `a.b` is, [here](there.md)\n## Twice\n```sh\n# no heading\n```\n### Twice\n#### Too deep\n", "utf-8"
+    )
+    assert headings(page) == {"what-ab-is-here", "twice", "twice-1"}

@@ -31,10 +31,6 @@ class KernelFinder:
 sys.meta_path.insert(0, KernelFinder())
 
 
-def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--update-snapshots", action="store_true", help="write the stored texts anew instead of comparing")
-
-
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Files from the first and from the last in turn: two workers in one folder would compile the same kernels."""

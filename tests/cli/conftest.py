@@ -61,18 +61,3 @@ def fake(install: Install) -> Path:
     """The package sculpt-fake is installed: the method ``fake``, and components in every slot. Returns its folder."""
     source = (HERE / "sculpt_fake.py").read_text(encoding="utf-8")
     return install("sculpt-fake", FAKE_ENTRY_POINTS, sculpt_fake=source)
-
-
-@pytest.fixture
-def snapshot(request: pytest.FixtureRequest) -> Callable[[str, str], None]:
-    """``snapshot(name, text)``: ``text`` is what is stored under that name."""
-
-    def compare(name: str, text: str) -> None:
-        path = HERE / "snapshots" / f"{name}.txt"
-        if request.config.getoption("--update-snapshots"):
-            path.parent.mkdir(exist_ok=True)
-            path.write_text(text, encoding="utf-8")
-        assert path.exists(), f"{path} is missing; run pytest with --update-snapshots and read what it writes"
-        assert text == path.read_text(encoding="utf-8"), "if this is meant, run pytest with --update-snapshots"
-
-    return compare

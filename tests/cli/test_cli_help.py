@@ -1,19 +1,15 @@
-"""Help: what it says, what it costs, what it imports."""
+"""Help: what it says and what it imports."""
 
 import re
 import subprocess
 import sys
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from sculpt_framework import registry
-from sculpt_framework.command_line.options import flags
 from sculpt_framework.command_line.request import overview, parse
 
-Snapshot = Callable[[str, str], None]
 HEAVY = ("torch", "viser", "trimesh", "cv2", "numpy", "scipy", "numba")
 
 
@@ -24,22 +20,21 @@ def plain_terminal(monkeypatch: pytest.MonkeyPatch):
 
 
 @pytest.mark.usefixtures("fake")
-@pytest.mark.parametrize(
-    ("name", "words"),
-    [
-        ("usual", "--field fancy --help"),
-        ("plain", "--help-all"),
-        ("fancy", "--field fancy --losses none --constraints even tight --observers none --help-all"),
-    ],
-)
-def test_help_of_a_method_follows_the_chosen_components(
-    name: str, words: str, capsys: pytest.CaptureFixture[str], snapshot: Snapshot
+def test_the_help_of_a_method_has_what_a_person_sets_and_the_options_of_what_the_words_choose(
+    capsys: pytest.CaptureFixture[str],
 ):
     with pytest.raises(SystemExit) as caught:
-        parse(["fake", *words.split()])
+        parse(["fake", "--field", "fancy", "--help"])
     assert caught.value.code == 0
-    lines = capsys.readouterr().out.splitlines()
-    snapshot(f"help-{name}", "".join(f"{line.rstrip()}\n" for line in lines))
+    text = capsys.readouterr().out
+    shown = re.findall(r"^\W*--([a-z][a-z0-9.-]*)", text, re.MULTILINE)
+    assert {"data", "output", "max-time", "seed", "resume", "field", "losses"} <= set(shown)
+    assert {name.partition(".")[0] for name in shown if "." in name} == {"field"}
+    assert "A method that cannot train." in text
+    assert "A field with many settings, one of every type." in text
+    assert re.search(r"--field\.num-levels INT\s+Levels of the grid\. \(default: 7\)", text)
+    assert re.search(r"--field\.decoder \{linear,deep\}\s+What reads the grid\. \(default: linear\)", text)
+    assert re.search(r"--data .*\s+Folder of the scene, or demo, or demo:NAME\. \(required\)", text)
 
 
 def test_a_method_that_cannot_be_imported_is_listed_as_such(install):
@@ -52,13 +47,6 @@ def test_a_method_that_cannot_be_imported_is_listed_as_such(install):
 @pytest.mark.usefixtures("fake")
 def test_overview_lists_methods_with_the_first_line_of_their_docstrings():
     assert "  fake                           A method that cannot train.\n" in overview()
-
-
-@pytest.mark.parametrize("method", registry.method_names())
-def test_the_options_of_every_method_are_frozen(method: str, snapshot: Snapshot):
-    # How many stages a method has is its own affair.
-    options = [re.sub(r"stages\.\d+", "stages.N", option) for option in flags(parse([method, "--data", "demo"]))]
-    snapshot(f"flags-{method}", "".join(f"{option}\n" for option in dict.fromkeys(options)))
 
 
 @pytest.mark.parametrize("method", registry.method_names())
@@ -76,12 +64,15 @@ def test_the_help_has_some_thirty_options_and_counts_the_others(method: str, cap
     assert abs(some + counted - every) <= 8
 
 
-def test_the_overview_of_the_methods_is_frozen(snapshot: Snapshot):
-    snapshot("overview", overview())
+def test_the_overview_says_a_line_of_every_built_in_method():
+    listed = overview().partition("methods:\n")[2].partition("\n\n")[0]
+    lines = dict(line.strip().split(maxsplit=1) for line in listed.splitlines())
+    assert list(lines) == list(registry.method_names())
+    assert not [line for line in lines.values() if "not available" in line]
 
 
 @pytest.mark.parametrize("words", ["--help", "gaussian-sculpting --help"])
-def test_help_is_quick_and_imports_nothing_heavy(words: str):
+def test_help_imports_nothing_heavy(words: str):
     script = (
         "import sys, runpy\n"
         f"sys.argv = ['sculpt-train', *{words.split()!r}]\n"
@@ -90,12 +81,9 @@ def test_help_is_quick_and_imports_nothing_heavy(words: str):
         "finally:\n"
         f"    sys.stderr.write(','.join(sorted(set({HEAVY!r}) & set(sys.modules))))"
     )
-    started = time.perf_counter()
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False)
-    took = time.perf_counter() - started
     assert (done.returncode, done.stderr) == (0, "")
     assert "usage: sculpt-train" in done.stdout
-    assert took < 1.5
 
 
 def test_a_reader_that_closes_early_gets_no_traceback():

@@ -97,11 +97,14 @@ def test_the_method_s_name_is_what_was_asked_for(install):
     assert parse(["my_way", "--data", "x"]).method == "my-way"
 
 
-def test_flags_are_the_options_of_the_help(capsys: pytest.CaptureFixture[str]):
+@pytest.mark.parametrize(
+    "words", ["", "--field fancy", "--losses none --constraints even tight --observers none --field fancy"]
+)
+def test_flags_are_the_options_of_the_whole_help(words: str, capsys: pytest.CaptureFixture[str]):
     with pytest.raises(SystemExit):
-        parse(["fake", "--field", "fancy", "--help-all"])
+        parse(["fake", *words.split(), "--help-all"])
     shown = set(re.findall(r"^\W*--([a-z][a-z0-9.-]*)", capsys.readouterr().out, re.MULTILINE))
-    assert shown == set(flags(run("--field fancy")))
+    assert shown == set(flags(run(words)))
 
 
 class TestResume:

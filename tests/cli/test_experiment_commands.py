@@ -3,20 +3,17 @@
 import re
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from sculpt_framework.cli.ablate import ablate, main, split_extra
 from sculpt_framework.cli.bench import bench
-from sculpt_framework.cli.evaluate import evaluate
 from sculpt_framework.errors import ConfigError, SculptError, TrainingFailed
 
 FAKE = (sys.executable, "-S", str(Path(__file__).parents[1] / "experiments" / "fake_train.py"))
 HEAVY = ("torch", "viser", "trimesh", "cv2", "numpy", "scipy", "numba")
 TWO = ("--factors", "isolation", "--scenes", "demo:dents", "--equal", "steps")
-Snapshot = Callable[[str, str], None]
 
 
 @pytest.fixture(autouse=True)
@@ -26,18 +23,6 @@ def place(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     monkeypatch.setenv("NO_COLOR", "1")
     monkeypatch.chdir(tmp_path)
     return tmp_path
-
-
-@pytest.mark.parametrize(
-    ("name", "words", "run"),
-    [("ablate", [], ablate), ("bench-suite", ["suite"], bench), ("eval", [], evaluate)],
-    ids=["ablate", "suite", "eval"],
-)
-def test_help(name: str, words: list[str], run: Callable, capsys: pytest.CaptureFixture[str], snapshot: Snapshot):
-    with pytest.raises(SystemExit) as caught:
-        run([*words, "--help"])
-    assert caught.value.code == 0
-    snapshot(f"help-{name}", "".join(f"{line.rstrip()}\n" for line in capsys.readouterr().out.splitlines()))
 
 
 @pytest.mark.parametrize("words", ["ablate --help", "bench suite --help", "bench --help"])

@@ -1,8 +1,7 @@
-"""Formats of other packages in ``sculpt-export``, and what its help says and costs."""
+"""Formats of other packages in ``sculpt-export``, and what its help says and imports."""
 
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -97,12 +96,15 @@ def test_a_broken_format_disturbs_no_other(install, run_dir: Path):
         export([str(run_dir), "--format", "obj", "--digits", "3"])
 
 
-def test_the_overview_is_frozen(snapshot):
-    snapshot("overview-export", overview())
+def test_the_overview_says_a_line_of_every_built_in_format():
+    listed = overview().partition("formats:\n")[2].partition("\n\n")[0]
+    lines = dict(line.strip().split(maxsplit=1) for line in listed.splitlines())
+    assert list(lines) == list(registry.export_formats())
+    assert not [line for line in lines.values() if "not available" in line]
 
 
 @pytest.mark.parametrize("words", ["--help", "--format 3mf --help"])
-def test_help_is_quick_and_imports_nothing_heavy(words: str):
+def test_help_imports_nothing_heavy(words: str):
     script = (
         f"import sys\nsys.argv = ['sculpt-export', *{words.split()!r}]\n"
         "from sculpt_framework.cli.export import main\n"
@@ -110,8 +112,6 @@ def test_help_is_quick_and_imports_nothing_heavy(words: str):
         "finally:\n"
         "    sys.stderr.write(','.join({'torch', 'trimesh', 'numpy', 'lib3mf'} & set(sys.modules)))"
     )
-    started = time.perf_counter()
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     assert "usage: sculpt-export" in done.stdout
-    assert time.perf_counter() - started < 1.5

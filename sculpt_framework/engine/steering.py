@@ -22,7 +22,7 @@ from sculpt_framework.export.mesh_files import write_mesh_glb, write_mesh_ply
 from sculpt_framework.geometry.signed_distance import EmptySurfaceError
 
 _PAUSE_POLL_SECONDS = 0.05
-_SNAPSHOT_SHARE = 0.005
+SNAPSHOT_SHARE = 0.005
 """Of the run's time that snapshots may take, at most: costly ones come less often."""
 
 
@@ -140,4 +140,4 @@ class Steering:
             self._session.host.tell("snapshot", {"snapshot": snapshot})
         self._snapshot_wanted = False
         cost = time.monotonic() - now
-        self._next_snapshot = now + max(self._snapshot_seconds or 0.0, cost / _SNAPSHOT_SHARE)
+        self._next_snapshot = now + max(self._snapshot_seconds or 0.0, cost / SNAPSHOT_SHARE)

@@ -15,7 +15,7 @@ from sculpt_framework.sculpting.trainer import BiLevelTrainer
 from sculpt_framework.stop_rule import FEWEST, StopRule
 from sculpt_framework.types import Box, View
 
-_STEPS = 150
+STEPS = 150
 """On each level, at most."""
 _VIEWS = 4
 _LEAST_LOSS = 1e-12
@@ -24,7 +24,7 @@ _LAST_RATE = 0.1
 """Of the surface's rate that a level begins with."""
 _PASS = 10
 """Steps whose mean loss is one score: single losses differ by their views."""
-_RULE = StopRule(least_gain=0.02, latest=FEWEST)
+RULE = StopRule(least_gain=0.02, latest=FEWEST)
 """A level ends once its loss falls by less than this share."""
 
 
@@ -73,15 +73,15 @@ def _fit(
     """Silhouette steps until they gain no more, or their time is over; the loss of each."""
     losses: list[float] = []
     watched: list[tuple[float, float]] = []
-    for step in range(_STEPS):
+    for step in range(STEPS):
         if trainer.processes.first(lambda: end is not None and time.monotonic() >= end):
             break
         settled = trainer.settle(images, stage, 1.0)
-        report = trainer.update(settled, images, stage, _LAST_RATE ** (step / _STEPS))
+        report = trainer.update(settled, images, stage, _LAST_RATE ** (step / STEPS))
         losses.append(sum(report.terms[each.name] for each in trainer.objectives.silhouettes))
         if len(losses) % _PASS == 0:
             mean = sum(losses[-_PASS:]) / _PASS
             watched.append((float(step), -math.log(max(mean, _LEAST_LOSS))))
-            if _RULE.stops(watched):
+            if RULE.stops(watched):
                 break
     return losses

@@ -4,9 +4,8 @@
 
 JSON is a list of jobs, each {"name", "processes", "resume": name of a job, "kill": [rank, outer step, share of it],
 "changes"}, all but the first two optional.
-Prints a JSON list of {"codes", "said", "numbers", "seconds"}, by rank: exit codes, minus the signal, what was said, and
-process numbers; seconds from the first end to the last. No job computes in this process, as threads would not survive
-the fork.
+Prints a JSON list of {"codes", "said", "numbers"}, by rank: exit codes, minus the signal, what was said, and process
+numbers. No job computes in this process, as threads would not survive the fork.
 """
 
 import json
@@ -28,8 +27,9 @@ from small_runs import ONE_STAGE, small_config
 from sculpt_framework.cli import exit_codes
 from sculpt_framework.config import MethodConfig
 from sculpt_framework.engine.run import run
-from sculpt_framework.engine.session import Session
-from sculpt_framework.parallel import ranks  # noqa: F401 (here, so that no job has to)
+from sculpt_framework.parallel import ranks
+from sculpt_framework.reconstructor import Moment
+from sculpt_framework.sculpting.method import Sculpting
 from sculpt_framework.serialization import read_config
 from sculpt_plugins.datasets.blender.config import BlenderConfig
 from sculpt_plugins.observers.recorder.config import RecorderConfig
@@ -50,11 +50,9 @@ def do(job: dict[str, Any], scene: str, work: Path) -> dict[str, Any]:
             os._exit(work_as(rank, count, store.port, job, scene, work))
         children.append(child)
     codes: dict[int, int] = {}
-    first_end = last_end = 0.0
     while len(codes) < count:
         child, status = os.wait()
-        rank, last_end = children.index(child), time.monotonic()
-        first_end = first_end or last_end
+        rank = children.index(child)
         codes[rank] = os.waitstatus_to_exitcode(status)
         if codes[rank] < 0:
             # As torchrun does to those that are left.
@@ -66,7 +64,6 @@ def do(job: dict[str, Any], scene: str, work: Path) -> dict[str, Any]:
         "codes": [codes[rank] for rank in range(count)],
         "said": said,
         "numbers": children,
-        "seconds": last_end - first_end,
     }
 
 
@@ -99,24 +96,24 @@ def work_as(rank: int, count: int, port: int, job: dict[str, Any], scene: str, w
 
 def kill_at(outer: int, share: float) -> None:
     """Die within the outer step after so many, before its first sum (share 0) or its last (share 1)."""
-    whole = Session._take_step
+    settle, reduce, calls = Sculpting.settle, ranks.Ranks.reduce, -1
 
-    def step(self: Session, *words: Any) -> Any:
-        if self.step == outer:
-            processes, calls = self.host.processes, [0]
-            reduce = processes.reduce
+    def settling(self: Sculpting, moment: Moment) -> None:
+        nonlocal calls
+        if moment.step == outer:
+            calls = 0
+        settle(self, moment)
 
-            def dying(*given: Any) -> Any:
-                calls[0] += 1
-                # A step of these runs adds up twice: one inner step of two views, then the outer one.
-                if calls[0] > share:
-                    os.kill(os.getpid(), signal.SIGKILL)
-                return reduce(*given)
+    def dying(self: ranks.Ranks, *given: Any) -> Any:
+        nonlocal calls
+        # A step of these runs adds up twice: one inner step of two views, then the outer one.
+        if calls >= 0:
+            calls += 1
+        if calls > share:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return reduce(self, *given)
 
-            processes.reduce = dying
-        return whole(self, *words)
-
-    Session._take_step = step
+    Sculpting.settle, ranks.Ranks.reduce = settling, dying
 
 
 def config_of(job: dict[str, Any], scene: str, work: Path) -> MethodConfig:

@@ -94,7 +94,7 @@ def test_measuring_saving_and_watching_leave_training_as_it_is(
     hasty = replace(config, checkpoint_seconds=1e-9)
     events: list[Event] = []
     session = Session(scene, hasty, emit=events.append, save_state=lambda *state: None)
-    monkeypatch.setattr(steering_module, "_SNAPSHOT_SHARE", 1e9)
+    monkeypatch.setattr(steering_module, "SNAPSHOT_SHARE", 1e9)
     steering = Steering(session, folder=tmp_path, snapshot_seconds=0.0)
     watched = finished(session, steering)
     # Of the start, and after every step.
@@ -182,8 +182,9 @@ def test_colours_that_break_are_those_of_training_on_as_many_gaussians(scene: Sc
     assert any("colours are as training left them" in str(event.data) for event in events)
 
 
-@pytest.mark.slow
-def test_a_slow_start_takes_nothing_from_the_rates(scene: Scene, monkeypatch: pytest.MonkeyPatch):
+def test_a_slow_start_takes_nothing_from_the_rates(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch, time_passes: Callable[[float], None]
+):
     """A tenth of the time given is gone when optimisation begins; it begins with full rates."""
     from sculpt_framework.sculpting import method
 
@@ -191,7 +192,7 @@ def test_a_slow_start_takes_nothing_from_the_rates(scene: Scene, monkeypatch: py
     rates: list[float] = []
 
     def slow_fit(*arguments: Any) -> float:
-        time.sleep(6.0)
+        time_passes(600.0)
         return fit(*arguments)
 
     def watched(trainer: BiLevelTrainer, images: Any, stage: Any, rate: float, warm: Any) -> Any:
@@ -200,7 +201,7 @@ def test_a_slow_start_takes_nothing_from_the_rates(scene: Scene, monkeypatch: py
 
     monkeypatch.setattr(method, "fit_to_views", slow_fit)
     monkeypatch.setattr(BiLevelTrainer, "settle", watched)
-    config = small_config(max_time=60.0, polish_steps=0)
+    config = small_config(max_time=6000.0, polish_steps=0)
     finished(Session(scene, config), lambda: bool(rates))
     assert rates[0] > 0.9
     assert config.trainer.final_rate**0.1 < 0.9

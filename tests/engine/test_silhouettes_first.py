@@ -1,6 +1,8 @@
 """A start from a sphere takes its shape from the masks before colours count; other starts do not need it."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
@@ -11,6 +13,7 @@ from sculpt_framework.errors import TrainingFailed
 from sculpt_framework.events import Event
 from sculpt_framework.geometry.signed_distance import EmptySurfaceError
 from sculpt_framework.sculpting import silhouettes_first
+from sculpt_framework.sculpting.trainer import BiLevelTrainer
 from sculpt_framework.stop_rule import StopRule
 from sculpt_framework.types import Scene
 from sculpt_plugins.initializers.sphere.config import SphereConfig
@@ -61,23 +64,31 @@ def test_a_method_that_begins_with_silhouettes_itself_is_left_alone(scene: Scene
     assert not shaping(train(small_config(initializer=SphereConfig(), steps=2, stages=own), scene))
 
 
-@pytest.mark.slow
-def test_a_time_limit_leaves_most_for_the_stages(scene: Scene, monkeypatch: pytest.MonkeyPatch):
-    """With steps that do not end of themselves."""
-    monkeypatch.setattr(silhouettes_first, "_STEPS", 1_000_000)
-    monkeypatch.setattr(silhouettes_first, "_RULE", StopRule(least_gain=0.0))
-    config = small_config(initializer=SphereConfig(), stages=TWO_STAGES, max_time=12.0)
+def test_a_time_limit_leaves_most_for_the_stages(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch, time_passes: Callable[[float], None]
+):
+    """With steps that take long and do not end of themselves."""
+    update = BiLevelTrainer.update
+
+    def slow(*arguments: Any) -> Any:
+        time_passes(100.0)
+        return update(*arguments)
+
+    monkeypatch.setattr(BiLevelTrainer, "update", slow)
+    monkeypatch.setattr(silhouettes_first, "STEPS", 1_000_000)
+    monkeypatch.setattr(silhouettes_first, "RULE", StopRule(least_gain=0.0))
+    config = small_config(initializer=SphereConfig(), stages=TWO_STAGES, max_time=2000.0)
     events: list[Event] = []
     Session(scene, config, emit=events.append).run()
     shaped = next(event.t_wall for event in events if event.data.get("item") == "silhouettes first")
-    assert 1.5 < shaped < 6.0
+    assert 250.0 < shaped < 1000.0
     assert any(event.event == "outer_step" for event in events)
 
 
 def test_a_surface_that_is_lost_is_one_message(scene: Scene, monkeypatch: pytest.MonkeyPatch):
-    def lose(*_: object) -> list[float]:
+    def lose(*_: object) -> None:
         raise EmptySurfaceError("no surface")
 
-    monkeypatch.setattr(silhouettes_first, "_fit", lose)
+    monkeypatch.setattr(silhouettes_first, "find_seeds", lose)
     with pytest.raises(TrainingFailed, match="--initializer visual-hull"):
         from_sphere(scene)

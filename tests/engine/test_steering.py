@@ -1,8 +1,7 @@
 """A run that is told things: what each command does, that it is told, and that it can be told again."""
 
 import json
-import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -129,34 +128,24 @@ def test_what_is_no_command_is_said(value: object, complaint: str):
     assert "\n" not in str(error.value)
 
 
-def test_a_pause_takes_no_steps_and_no_training_time(scene: Scene, tmp_path: Path):
+def test_a_pause_takes_no_steps_and_no_training_time(
+    scene: Scene, tmp_path: Path, time_passes: Callable[[float], None]
+):
     config = small_config(steps=4, stages=ONE_STAGE)
-    seconds = 0.6
-    resumed: list[float] = []
-
-    class Resumes:
-        began: float | None = None
-
-        def __call__(self) -> Sequence[Command]:
-            if self.began is None:
-                return ()
-            if time.monotonic() - self.began < seconds:
-                return ()
-            resumed.append(time.monotonic() - self.began)
-            self.began = None
-            return (Resume(),)
-
-    resumes = Resumes()
+    seconds, asked = 60.0, 0
     events: list[Event] = []
 
-    def emit(event: Event) -> None:
-        events.append(event)
-        if event.data.get("message") == "paused":
-            resumes.began = time.monotonic()
+    def resume_in_the_end() -> Sequence[Command]:
+        nonlocal asked
+        if events[-1].data.get("message") != "paused":
+            return ()
+        asked += 1
+        time_passes(seconds / 3)
+        return (Resume(),) if asked == 3 else ()
 
-    session = Session(scene, config, emit=emit)
+    session = Session(scene, config, emit=events.append)
     told = iter([[], [], [Pause()]])
-    steering = Steering(session, folder=tmp_path, sources=[lambda: next(told, []), resumes])
+    steering = Steering(session, folder=tmp_path, sources=[lambda: next(told, []), resume_in_the_end])
     finished(session, steering)
     paused, resumed_event = [event for event in events if event.event == "action"]
     between = events[events.index(paused) + 1 : events.index(resumed_event)]

@@ -31,12 +31,11 @@ sys.exit(failed)
 """
 
 FIRST_RENDERING = """
-import json, time
+import json
 import sculpt_framework
 import torch
 from sculpt_framework.types import Camera
 from sculpt_plugins.rasterizers.numba.config import NumbaRasterizerConfig
-cpu = time.process_time()
 rasterizer = NumbaRasterizerConfig().build(torch.device("cpu"))
 pose = torch.eye(4)
 pose[2, 3] = 2.0
@@ -47,7 +46,6 @@ output = rasterizer.rasterize(
     low_pass_px2=0.3, alpha_max=0.999,
 )
 output.features.square().sum().backward()
-cpu = time.process_time() - cpu
 from numba.core.dispatcher import Dispatcher
 from sculpt_plugins.rasterizers.numba import backward, forward, projection, sorting
 kernels = {f"{module.__name__}.{name}": kernel for module in (projection, sorting, forward, backward)
@@ -55,7 +53,6 @@ kernels = {f"{module.__name__}.{name}": kernel for module in (projection, sortin
 print(json.dumps({
     "package": sculpt_framework.__file__,
     "alpha": float(output.alpha.max().detach()),
-    "cpu": cpu,
     "loaded": sum(sum(kernel.stats.cache_hits.values()) for kernel in kernels.values()),
     "compiled": [name for name, kernel in kernels.items() if kernel.stats.cache_misses],
 }))
@@ -101,7 +98,7 @@ def test_contract_on_narrower_vectors(
     assert printed.splitlines()[-1].split() == ["registers", *registers]
 
 
-def test_a_second_process_starts_fast_also_from_a_read_only_folder(tmp_path: Path):
+def test_a_second_process_compiles_nothing_also_from_a_read_only_folder(tmp_path: Path):
     """The package as an installation that its user may not write to: kernels are kept in the user's cache."""
     site, cache = tmp_path / "site", tmp_path / "cache"
     for package in ("sculpt_framework", "plugins/sculpt_plugins", "method_configs/sculpt_methods"):
@@ -122,9 +119,6 @@ def test_a_second_process_starts_fast_also_from_a_read_only_folder(tmp_path: Pat
     assert sorted(site.rglob("*")) == before
     assert list(cache.rglob("*.nbi"))
     assert first["alpha"] == second["alpha"] > 0.5
-    assert first["cpu"] > 3.0, "the first process had nothing to compile"
     assert first["loaded"] == 0
     assert second["compiled"] == []
     assert len(first["compiled"]) >= second["loaded"] > 0
-    # How long that takes in seconds depends on the machine: docs/measure_loading.py.
-    assert second["cpu"] < 0.1 * first["cpu"]

@@ -28,7 +28,7 @@ class TritonEncoding(torch.autograd.Function):
         features = tables[0].shape[1]
         out = points.new_zeros(points.shape[0], features if sum_levels else len(tables) * features)
         for level, (table, resolution) in enumerate(zip(tables, resolutions, strict=True)):
-            _launch(_encode, points, resolution, table, level * ctx.width, out, table)
+            _launch(encode, points, resolution, table, level * ctx.width, out, table)
         return out
 
     @staticmethod
@@ -40,10 +40,10 @@ class TritonEncoding(torch.autograd.Function):
         to_tables: list[Tensor | None] = [None] * len(tables)
         for level, (table, resolution) in enumerate(zip(tables, ctx.resolutions, strict=True)):
             if to_points is not None:
-                _launch(_differentiate_points, points, resolution, table, level * ctx.width, to_out, table, to_points)
+                _launch(differentiate_points, points, resolution, table, level * ctx.width, to_out, table, to_points)
             if ctx.needs_input_grad[3 + level]:
                 to_tables[level] = torch.zeros_like(table)
-                _launch(_differentiate_table, points, resolution, table, level * ctx.width, to_out, to_tables[level])
+                _launch(differentiate_table, points, resolution, table, level * ctx.width, to_out, to_tables[level])
         return to_points, None, None, *to_tables
 
 
@@ -117,7 +117,7 @@ def _weight(along, corner: tl.constexpr):
 
 
 @triton.jit
-def _encode(
+def encode(
     points, out, table, count, resolution, entries, column, width,
     FEATURES: tl.constexpr, PADDED: tl.constexpr, DENSE: tl.constexpr, POINTS: tl.constexpr,
 ):  # fmt: skip
@@ -132,7 +132,7 @@ def _encode(
 
 
 @triton.jit
-def _differentiate_table(
+def differentiate_table(
     points, to_out, to_table, count, resolution, entries, column, width,
     FEATURES: tl.constexpr, PADDED: tl.constexpr, DENSE: tl.constexpr, POINTS: tl.constexpr,
 ):  # fmt: skip
@@ -149,7 +149,7 @@ def _differentiate_table(
 
 
 @triton.jit
-def _differentiate_points(
+def differentiate_points(
     points, to_out, table, to_points, count, resolution, entries, column, width,
     FEATURES: tl.constexpr, PADDED: tl.constexpr, DENSE: tl.constexpr, POINTS: tl.constexpr,
 ):  # fmt: skip

@@ -67,12 +67,12 @@ class FaceSearch:
         return tree
 
     @cached_property
-    def _grid(self) -> "_FaceGrid | None":
-        return _face_grid(self._mesh)
+    def _grid(self) -> "FaceGrid | None":
+        return face_grid(self._mesh)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _FaceGrid:
+class FaceGrid:
     """The triangles that meet each cell of a grid."""
 
     vertices: Float64[np.ndarray, "v 3"]
@@ -97,7 +97,7 @@ class _FaceGrid:
         return squared, face
 
 
-def _face_grid(mesh: Mesh) -> _FaceGrid | None:
+def face_grid(mesh: Mesh) -> FaceGrid | None:
     """Cells about two edges wide. None where triangles are so unlike that some would lie in too many of them."""
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     side = 2.0 * float(np.sqrt(2.0 * np.median(mesh.areas)))
@@ -114,4 +114,4 @@ def _face_grid(mesh: Mesh) -> _FaceGrid | None:
     np.cumsum(starts, out=starts)
     entries = np.empty(int(starts[-1]), np.int64)
     face_grid_kernels.list_faces(vertices, faces, low, side, shape, starts[:-1].copy(), entries)
-    return _FaceGrid(vertices=vertices, faces=faces, origin=low, side=side, shape=shape, starts=starts, entries=entries)
+    return FaceGrid(vertices=vertices, faces=faces, origin=low, side=side, shape=shape, starts=starts, entries=entries)

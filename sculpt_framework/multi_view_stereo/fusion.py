@@ -64,7 +64,7 @@ def fuse(solid: Volume, maps: DepthMaps) -> Volume:
         values = np.minimum(values, _smoothed(*filled, least))
         # Smoothing takes away what is thinner than two cells, whatever it weighs. The hull bounds it well.
         values = np.where(missing(values < 0, solid, views, depths, back, doubtful), _LOWEST, values)
-    inside = _whole(values < 0)
+    inside = without_bubbles(values < 0)
     return solid.holding(signed_distance(inside, values * unit, solid.cell))
 
 
@@ -127,7 +127,7 @@ def _smoothed(
     return values
 
 
-def _whole(inside: Bool[np.ndarray, "x y z"]) -> Bool[np.ndarray, "x y z"]:
+def without_bubbles(inside: Bool[np.ndarray, "x y z"]) -> Bool[np.ndarray, "x y z"]:
     """Without bubbles and without crumbs."""
     filled = np.asarray(ndimage.binary_fill_holes(inside), dtype=bool)
     piece = np.zeros(inside.shape, np.int32)

@@ -62,7 +62,7 @@ class GaussianScene:
         if self.appearance.inherits_rows and self._centroids is not None:
             fresh = (~located[1]).nonzero()[:, 0]
             if len(fresh) > 0:
-                lender = _nearest_faces(self.appearance_rows.keys, self._centroids, keys[fresh], centroids[fresh])
+                lender = nearest_faces(self.appearance_rows.keys, self._centroids, keys[fresh], centroids[fresh])
                 for name, rows in new_rows.items():
                     rows[fresh] = self.appearance_rows.leaves[name].detach()[lender]
         self.appearance_rows.rekey(keys, new_rows, located=located)
@@ -169,7 +169,7 @@ def tensor_pairs(first: Gaussians, second: Gaussians) -> list[tuple[Tensor, Tens
     ]
 
 
-def _nearest_faces(
+def nearest_faces(
     old_keys: Int64[Tensor, " m"],
     old_centroids: Float[Tensor, "m 3"],
     keys: Int64[Tensor, " n"],

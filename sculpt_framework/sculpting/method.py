@@ -102,7 +102,7 @@ class Sculpting(Reconstructor):
         rate = self._rates.surface(factor, moment.step, self._host.progress())
         report = self.trainer.update(settled, self.images, self._stage_config, rate)
         self._forget_shown()
-        bands = prune_bands(self.trainer, settled.binding, self._judge, self.config.trainer, moment.step + 1)
+        bands = prune_bands(self.trainer, settled.binding, self.judge, self.config.trainer, moment.step + 1)
         return StepReport(
             loss=report.loss,
             terms=report.terms,
@@ -128,7 +128,7 @@ class Sculpting(Reconstructor):
             scene.rebind(more)
         try:
             trainer = self.config.trainer
-            for told in polish(self.trainer, surface, self.images, self._judge, trainer, end, fresh=fresh):
+            for told in polish(self.trainer, surface, self.images, self.judge, trainer, end, fresh=fresh):
                 self._host.tell("decision", told)
         except FloatingPointError as error:
             self._host.warn(f"colours are as training left them: {error}")
@@ -281,7 +281,8 @@ class Sculpting(Reconstructor):
         return draw_gaussians(self.parts.rasterizer, gaussians, self._box, camera, low_pass, device)
 
     @property
-    def _judge(self) -> Judge | None:
+    def judge(self) -> Judge | None:
+        """How good held-out views are with these Gaussians; None where nobody measures."""
         if not self._host.judged:
             return None
         return lambda gaussians: self._host.judge(lambda camera: self._draw(gaussians, camera).rgb)

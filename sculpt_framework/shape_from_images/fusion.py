@@ -61,7 +61,7 @@ def carve(solid: Volume, views: PackedViews, maps: DepthMaps, margin: float) -> 
     narrow = round(_grains(solid))
     open_parts = missing(carved < 0, solid, views, maps.depths, _THIN * narrow * solid.cell)
     carved = np.where(open_parts, solid.values, carved)
-    inside = _one_piece(carved < 0, hull, narrow)
+    inside = one_piece(carved < 0, hull, narrow)
     return solid.holding(signed_distance(inside, carved, solid.cell))
 
 
@@ -111,7 +111,7 @@ def _add_up(
         views.poses,
         views.lenses,
         views.positions,
-        _truncation(solid),
+        truncation_of(solid),
         blocked,
         np.array(solid.origin, np.float32),
         np.float32(solid.cell),
@@ -121,7 +121,7 @@ def _add_up(
 
 def _filled(solid: Volume, sums: _Sums) -> Float32[np.ndarray, "x y z"]:
     """Distance to what the maps show, from the shape known before where no view knows."""
-    truncation = _truncation(solid)
+    truncation = truncation_of(solid)
     prior = np.clip(solid.values, -truncation, truncation)
     return _fill(sums.distance / np.maximum(sums.views, 1), _sureness(sums.views), prior)
 
@@ -136,7 +136,8 @@ def _grains(solid: Volume) -> float:
     return max(1.0, (max(solid.shape) - 2) / _GRAIN)
 
 
-def _truncation(solid: Volume) -> np.float32:
+def truncation_of(solid: Volume) -> np.float32:
+    """How far from a surface a depth speaks of it, in units of the volume: no less where cells are fine."""
     return np.float32(_TRUNCATION * _grains(solid) * solid.cell)
 
 
@@ -194,7 +195,7 @@ def _fill(
     return phi
 
 
-def _one_piece(
+def one_piece(
     inside: Bool[np.ndarray, "x y z"], hull: Bool[np.ndarray, "x y z"], narrow: int
 ) -> Bool[np.ndarray, "x y z"]:
     """Without bubbles and without crumbs. A bubble is what hangs together with the outside of the ``hull``, if at all,

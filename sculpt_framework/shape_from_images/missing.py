@@ -14,7 +14,7 @@ from sculpt_framework.threads import in_threads
 with kernel_cache("rays", Path(__file__).with_name("ray_kernels.py")):
     from sculpt_framework.shape_from_images import ray_kernels
 
-_ASKING = 3
+ASKING = 3
 """Views in whose masks a place must be missing for it to be filled."""
 _LEADING = np.float32(0.8)
 """Share of the largest surplus of views on a ray of an open part, of those that ask over those that see through, with
@@ -71,7 +71,7 @@ def missing(
     asked = np.flatnonzero((solid.values < 0) & ~full)
     points, surplus = solid.points[asked], np.zeros(len(asked), np.int32)
     share_threads()
-    ray_kernels.count_missing(points, open_parts, depths, views.poses, views.lenses, np.float32(back), _ASKING, surplus)
+    ray_kernels.count_missing(points, open_parts, depths, views.poses, views.lenses, np.float32(back), ASKING, surplus)
     asked, points, surplus = asked[surplus > 0], points[surplus > 0], surplus[surplus > 0]
     if doubtful is not None:
         # Rounded up, so that a doubtful cell is still better than none.
@@ -99,7 +99,7 @@ def _leading(
     most = np.array(in_threads(most_on_rays, range(len(open_parts))), np.int32).reshape(open_parts.shape)
     chosen = np.zeros(len(points), bool)
     share_threads()
-    ray_kernels.choose_missing(points, surplus, open_parts, most, views.poses, views.lenses, _LEADING, _ASKING, chosen)
+    ray_kernels.choose_missing(points, surplus, open_parts, most, views.poses, views.lenses, _LEADING, ASKING, chosen)
     return chosen
 
 

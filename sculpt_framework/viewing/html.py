@@ -15,7 +15,7 @@ from sculpt_framework.viewing.server import look_from_aside, start_server, stop_
 _SECONDS_PER_STEP = 0.4
 _LAST_SECONDS = 3.0
 _STEPS_AT_MOST = 40
-_FACES_AT_MOST = 4_000_000
+FACES_AT_MOST = 4_000_000
 """In all steps together: 80 MB or so, which a browser still opens at once."""
 _SPLATS_AT_MOST = 200_000
 
@@ -30,7 +30,7 @@ def write_html(folder: Path, out: Path) -> int:
     if last is None or len(last.faces) == 0:
         raise CheckpointError(f"{folder} has no surface to show yet.")
     files = step_files(folder)
-    most = min(len(files), _STEPS_AT_MOST, max(1, _FACES_AT_MOST // len(last.faces)))
+    most = min(len(files), _STEPS_AT_MOST, max(1, FACES_AT_MOST // len(last.faces)))
     chosen = np.unique(np.linspace(0, len(files) - 1, most).astype(int)) if files else []
     write_atomically(out, _play([*(read_frame(files[index][1]) for index in chosen), last]).encode("utf-8"))
     return len(chosen) + 1

@@ -35,7 +35,7 @@ def system(root: Path, **files: str) -> Path:
 
 @pytest.fixture(autouse=True)
 def no_limit_of_this_process(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(memory, "_of_limits", lambda root: iter(()))
+    monkeypatch.setattr(memory.resource, "getrlimit", lambda which: (memory.resource.RLIM_INFINITY,) * 2)
 
 
 def test_the_peak_is_this_process_and_not_that_of_the_one_that_started_it(tmp_path: Path):
@@ -87,7 +87,6 @@ def test_no_limit_is_no_limit(tmp_path: Path):
 
 
 def test_of_this_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.undo()
     monkeypatch.setattr(memory.resource, "getrlimit", lambda which: (3 * GIB, 3 * GIB))
     monkeypatch.setattr(memory.resource, "getpagesize", lambda: 4096)
     assert available_bytes(system(tmp_path, proc__self__statm=f"{GIB // 4096} 5 6 7\n")) == 2 * GIB

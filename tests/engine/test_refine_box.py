@@ -16,7 +16,7 @@ from sculpt_framework.geometry.band import discover, levels_of
 from sculpt_framework.geometry.grid import Grid, pack
 from sculpt_framework.geometry.signed_distance import SdfFunction
 from sculpt_framework.sculpting.assembly import build_parts
-from sculpt_framework.sculpting.gaussian_scene import _nearest_faces
+from sculpt_framework.sculpting.gaussian_scene import nearest_faces
 from sculpt_framework.sculpting.state import capture, restore
 from sculpt_framework.serialization import config_from_json, config_to_json
 from sculpt_framework.types import Scene
@@ -146,7 +146,7 @@ def test_new_faces_among_faces_of_two_levels_find_the_nearest():
         ijk = torch.stack([keys >> 39 & 65535, keys >> 23 & 65535, keys >> 7 & 65535], dim=1)
         return (ijk + 0.5) * 0.5 ** levels_of(keys)[:, None]
 
-    lender = _nearest_faces(old_keys, centers(old_keys), new_keys, centers(new_keys))
+    lender = nearest_faces(old_keys, centers(old_keys), new_keys, centers(new_keys))
     apart = (centers(old_keys)[lender] - centers(new_keys)).norm(dim=1)
     nearest = torch.cdist(centers(new_keys), centers(old_keys)).amin(dim=1)
     other_level = levels_of(old_keys[lender]) != levels_of(new_keys)

@@ -41,7 +41,7 @@ def worth(monkeypatch: pytest.MonkeyPatch, decibels: Mapping[int, float]) -> Non
     def scripted(gaussians: Gaussians) -> float:
         return next(value for degree, value in decibels.items() if bands(degree) == gaussians.sh.shape[1])
 
-    monkeypatch.setattr(Sculpting, "_judge", property(lambda method: scripted))
+    monkeypatch.setattr(Sculpting, "judge", property(lambda method: scripted))
 
 
 @pytest.mark.parametrize("appearance", [ColorFieldConfig(sh_degree=2), PerGaussianConfig(sh_degree=2)])

@@ -2,11 +2,12 @@
 
 from collections.abc import Callable
 
+import igl
 import numpy as np
 import pytest
 import trimesh
 
-from sculpt_framework.evaluation.face_search import FaceSearch, _face_grid
+from sculpt_framework.evaluation.face_search import FaceSearch, face_grid
 from sculpt_framework.evaluation.mesh import Mesh
 
 
@@ -29,6 +30,11 @@ def soup() -> Mesh:
     return Mesh(vertices=corners.reshape(-1, 3), faces=np.arange(1200).reshape(-1, 3))
 
 
+def by_tree(mesh: Mesh, points: np.ndarray) -> np.ndarray:
+    """Squared distances, by libigl alone."""
+    return np.asarray(igl.point_mesh_squared_distance(points, mesh.vertices, mesh.faces)[0])
+
+
 def points_near(mesh: Mesh, deviation: float) -> np.ndarray:
     generator = np.random.default_rng(2)
     on = mesh.vertices[generator.integers(0, len(mesh.vertices), 3000)]
@@ -40,31 +46,30 @@ def points_near(mesh: Mesh, deviation: float) -> np.ndarray:
 def test_it_finds_what_the_tree_finds(make: Callable[[], Mesh], deviation: float):
     mesh = make()
     search, points = FaceSearch(mesh), points_near(mesh, deviation)
-    assert search._grid is not None
+    assert face_grid(mesh) is not None
     squared, face = search.squared_distances(points)
-    expected, _ = search._by_tree(points)
-    np.testing.assert_allclose(np.sqrt(squared), np.sqrt(expected), atol=1e-7)
+    np.testing.assert_allclose(np.sqrt(squared), np.sqrt(by_tree(mesh, points)), atol=1e-7)
     # The face is one that is as near.
     for number in range(20):
-        one = FaceSearch(Mesh(vertices=mesh.vertices, faces=mesh.faces[face[number]][None]))
-        alone, _ = one._by_tree(points[number : number + 1])
+        alone = by_tree(Mesh(vertices=mesh.vertices, faces=mesh.faces[face[number]][None]), points[number : number + 1])
         np.testing.assert_allclose(np.sqrt(alone[0]), np.sqrt(squared[number]), atol=1e-7)
 
 
-def test_a_few_far_points_need_no_tree():
+def test_a_few_far_points_need_no_tree(monkeypatch: pytest.MonkeyPatch):
     mesh = bumpy()
     search, points = FaceSearch(mesh), points_near(mesh, 0.003)
     points[:20] *= np.linspace(0.0, 0.9, 20)[:, None]
     points[20:40] *= np.linspace(2.0, 9.0, 20)[:, None]
-    squared, _ = search.squared_distances(points)
-    assert "_tree" not in search.__dict__
-    np.testing.assert_allclose(squared, search._by_tree(points)[0], atol=1e-12)
+    with monkeypatch.context() as patched:
+        patched.setattr(igl, "AABB", lambda: pytest.fail("a tree is built"))
+        squared, _ = search.squared_distances(points)
+    np.testing.assert_allclose(squared, by_tree(mesh, points), atol=1e-12)
 
 
 def test_triangles_of_all_sizes_are_left_to_the_tree():
     box, ball = trimesh.creation.box(extents=(9, 9, 9)), trimesh.creation.icosphere(subdivisions=3, radius=0.1)
     mesh = mesh_of(trimesh.util.concatenate([box, ball]))
-    assert _face_grid(mesh) is None
+    assert face_grid(mesh) is None
     squared, face = FaceSearch(mesh).squared_distances(np.array([[0.0, 0.0, 4.0], [0.2, 0.0, 0.0]]))
     assert squared[0] == pytest.approx(0.25)
     assert face[0] < 12 <= face[1]

@@ -6,6 +6,8 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from sculpt_framework.errors import DataError
+from sculpt_framework.evaluation import face_search
+from sculpt_framework.evaluation.face_search import face_grid
 from sculpt_framework.evaluation.geometry import CURVE_THRESHOLD, MeasuredMesh, chamfer, sample_surface
 from sculpt_framework.evaluation.mesh import Mesh, load_mesh
 
@@ -72,12 +74,15 @@ def test_agrees_with_dense_nearest_samples():
     assert measured.completeness == pytest.approx(one_way(reference, result), rel=0.01)
 
 
-def test_other_samples_of_a_mesh_share_what_searches_it():
+def test_other_samples_of_a_mesh_share_what_searches_it(monkeypatch: pytest.MonkeyPatch):
     mesh = mesh_of(trimesh.creation.icosphere(subdivisions=3))
     few = MeasuredMesh(mesh, samples=500)
     many = few.with_samples(4000)
     assert len(few.samples.points) == 500
-    assert many._search is few._search
+    built = []
+    monkeypatch.setattr(face_search, "face_grid", lambda mesh: built.append(mesh) or face_grid(mesh))
+    np.testing.assert_array_equal(few.squared_distances(np.ones((1, 3))), many.squared_distances(np.ones((1, 3))))
+    assert len(built) == 1
     result = mesh_of(trimesh.creation.icosphere(subdivisions=2, radius=0.9))
     assert chamfer(result, many, samples=4000) == chamfer(result, mesh, samples=4000)
 

@@ -22,7 +22,7 @@ from exact_views import (
 )
 
 from sculpt_framework.cpu_kernels import share_threads
-from sculpt_framework.multi_view_stereo.depth_maps import DepthMaps, StereoOptions, _blank, find_depths
+from sculpt_framework.multi_view_stereo.depth_maps import DepthMaps, StereoOptions, depth_bounds, find_depths
 from sculpt_framework.multi_view_stereo.fusion import fuse
 from sculpt_framework.multi_view_stereo.stereo_views import stereo_views
 from sculpt_framework.types import View
@@ -238,11 +238,12 @@ def test_bounds_enclose_what_is_solid() -> None:
     solid = ball(0.8, cells=32)
     surface = DentedBall(dent=0.0)
     stack = stereo_views([photograph(surface, camera, masked=True) for camera in fan()[:2]], 32.0)
-    planes, exact = _blank(stack, solid), exact_maps(surface, stack).depths
+    nearest, farthest = depth_bounds(stack, solid.values < solid.cell, solid)
+    exact = exact_maps(surface, stack).depths
     hits = exact > 0
-    assert (planes.nearest[hits] <= exact[hits]).all()
-    assert (planes.farthest[hits] > exact[hits]).all()
+    assert (nearest[hits] <= exact[hits]).all()
+    assert (farthest[hits] > exact[hits]).all()
     # Not by more than the cells' corners and the cell that is added, where the ray does not graze.
     middle = np.abs(exact_maps(surface, stack).normals[..., 2]) > 0.5
-    assert (exact - planes.nearest)[hits & middle].max() < 4.5 * solid.cell
-    assert (planes.farthest[~stack.inside] == 0).all()
+    assert (exact - nearest)[hits & middle].max() < 4.5 * solid.cell
+    assert (farthest[~stack.inside] == 0).all()

@@ -13,7 +13,7 @@ from sculpt_framework.config import InitializerConfig
 from sculpt_framework.demo_scenes.cameras import demo_cameras
 from sculpt_framework.errors import DataError
 from sculpt_framework.multi_view_stereo.depth_maps import DepthMaps, StereoOptions, find_depths
-from sculpt_framework.multi_view_stereo.fusion import _whole, fuse
+from sculpt_framework.multi_view_stereo.fusion import fuse, without_bubbles
 from sculpt_framework.multi_view_stereo.stereo_views import stereo_views
 from sculpt_framework.shape_from_images import missing, within_hull
 from sculpt_framework.shape_from_images.hull import visual_hull
@@ -83,7 +83,7 @@ def test_a_small_part_that_only_masks_tell_of_stays(monkeypatch: pytest.MonkeyPa
     maps = exact_maps(small, stereo_views(views, 80.0))
     maps = replace(maps, depths=np.zeros_like(maps.depths), confidence=np.zeros_like(maps.confidence))
     assert (fuse(solid, maps).values < 0).sum() > 0.5 * (solid.values < 0).sum()
-    monkeypatch.setattr(missing, "_ASKING", len(views) + 1)
+    monkeypatch.setattr(missing, "ASKING", len(views) + 1)
     assert (fuse(solid, maps).values < 0).sum() < 0.5 * (solid.values < 0).sum()
 
 
@@ -115,7 +115,7 @@ def test_a_rod_that_only_masks_tell_of_is_kept_and_nothing_beside_it(monkeypatch
     # Between the rod and the ball there is nothing, whatever the hull has there.
     assert (values_at(shape, np.array([[0.0, 0.0, 0.65]])) > 0).all()
     filled = (shape.values < 0).sum()
-    monkeypatch.setattr(missing, "_ASKING", len(views) + 1)
+    monkeypatch.setattr(missing, "ASKING", len(views) + 1)
     bare = fuse(solid, maps)
     assert np.mean(values_at(bare, along) < 0.5 * solid.cell) < 0.2
     # No more than the rod is filled: some 1.8 long, and a cell and a half thick.
@@ -141,12 +141,12 @@ def test_bubbles_are_filled_and_crumbs_removed() -> None:
     holed = whole.copy()
     holed[18:23, 18:23, 18:23] = False
     holed[2, 2, 2] = True
-    assert np.array_equal(_whole(holed), whole)
+    assert np.array_equal(without_bubbles(holed), whole)
     # A second piece that is no crumb stays.
     apart = whole.copy()
     apart[1:5, 1:5, 1:5] = True
-    assert np.array_equal(_whole(apart), apart)
-    assert not _whole(np.zeros_like(whole)).any()
+    assert np.array_equal(without_bubbles(apart), apart)
+    assert not without_bubbles(np.zeros_like(whole)).any()
 
 
 @pytest.mark.parametrize(("many", "few"), [(0.6, 0.74), (0.74, 0.6)])

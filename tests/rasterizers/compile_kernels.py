@@ -61,7 +61,7 @@ def main(capability: int, channels: int) -> None:
         )
     for dense in (False, True):
         sizes = {"FEATURES": 4, "PADDED": 4, "DENSE": dense, "POINTS": 128}
-        for name in ("_encode", "_differentiate_table", "_differentiate_points"):
+        for name in ("encode", "differentiate_table", "differentiate_points"):
             facts[f"{name} {dense}"] = compiled(getattr(hash_grid_triton, name), capability, 4, **sizes)
     sys.stdout.write(json.dumps(facts) + "\n")
 

@@ -14,7 +14,7 @@ from sculpt_framework.demo_scenes.texture import SolidTexture
 from sculpt_framework.demo_scenes.tracing import render
 from sculpt_framework.errors import DataError
 from sculpt_framework.shape_from_images.depth_maps import DepthMaps, SweepOptions, find_depths
-from sculpt_framework.shape_from_images.fusion import _one_piece, _truncation, carve
+from sculpt_framework.shape_from_images.fusion import carve, one_piece, truncation_of
 from sculpt_framework.shape_from_images.hull import signed_mask_distance, visual_hull
 from sculpt_framework.shape_from_images.packing import PackedViews, pack_views
 from sculpt_framework.shape_from_images.volume import Volume, sample, signed_distance
@@ -217,7 +217,7 @@ def test_a_bubble_opens_only_by_what_is_wide(narrow: int, width: int, opens: boo
     hollow = np.zeros_like(hull)
     hollow[12:20, 12:20, 12:20] = True
     hollow[20:30, 13 : 13 + width, 13 : 13 + width] = True
-    solid = _one_piece(hull & ~hollow, hull, narrow)
+    solid = one_piece(hull & ~hollow, hull, narrow)
     assert solid[16, 16, 16] != opens
     assert (solid == (hull & ~hollow if opens else hull)).mean() > 0.99
 
@@ -227,7 +227,7 @@ def test_lengths_do_not_shrink_with_the_cells():
         Volume(values=np.ones((cells + 2, 8, 8), np.float32), origin=(-1.0,) * 3, cell=2 / cells)
         for cells in (64, 128, 192, 256)
     ]
-    assert [_truncation(volume) for volume in volumes] == pytest.approx([6 / 64, 6 / 128, 6 / 128, 6 / 128])
+    assert [truncation_of(volume) for volume in volumes] == pytest.approx([6 / 64, 6 / 128, 6 / 128, 6 / 128])
 
 
 def test_signed_distance_of_a_sphere():

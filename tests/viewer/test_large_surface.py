@@ -85,5 +85,5 @@ def test_a_browser_that_was_away_gets_the_newest_alone(frame: Frame, server: vis
 
 def test_a_page_to_send_has_fewer_steps_of_large_surfaces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     run = make_run(tmp_path)
-    monkeypatch.setattr("sculpt_framework.viewing.html._FACES_AT_MOST", 10)  # of 8 a step
+    monkeypatch.setattr("sculpt_framework.viewing.html.FACES_AT_MOST", 10)  # of 8 a step
     assert write_html(run, tmp_path / "few.html") == 2

@@ -117,7 +117,7 @@ def composite(
 
 
 @triton.jit
-def _split(value):
+def split(value):
     """(high, low) part of a float32, exact: as many leading bits as a matrix unit takes, and what is left of them."""
     high = (value.to(tl.int32, bitcast=True) & -8192).to(tl.float32, bitcast=True)
     return high, value - high
@@ -166,7 +166,7 @@ def composite_backward(
         rest += gradient * tl.load(depth + place, mask=inside, other=0.0)
         slopes = tl.where(kind == 0, gradient[:, None], slopes)
         gradients = (gradient,) + gradients
-    slopes_high, slopes_low = _split(slopes)
+    slopes_high, slopes_low = split(slopes)
 
     center_x, center_y = left + 0.5 * TILE, top + 0.5 * TILE
     from_x, from_y = (x - center_x)[:, None], (y - center_y)[:, None]
@@ -194,10 +194,10 @@ def composite_backward(
         rest -= tl.sum(own, axis=0)
         transmittance = tl.min(behind, axis=0)
 
-        s_high, s_low = _split(s)
+        s_high, s_low = split(s)
         geometry = tl.dot(s_high, moments, input_precision="tf32")
         geometry = tl.dot(s_low, moments, geometry, input_precision="tf32")
-        high, low = _split(weight)
+        high, low = split(weight)
         features = tl.dot(high, slopes_high, input_precision="tf32")
         features = tl.dot(low, slopes_high, features, input_precision="tf32")
         features = tl.dot(high, slopes_low, features, input_precision="tf32")

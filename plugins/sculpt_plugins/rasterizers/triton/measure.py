@@ -55,7 +55,7 @@ def main(words: list[str] | None = None) -> None:
     device = torch.device("cuda")
     if request.check and not _check(device):
         parser.exit(1)
-    rows = [row for count in request.gaussians for row in _rows(count, request.size, request.repeats, device)]
+    rows = [row for count in request.gaussians for row in measured_rows(count, request.size, request.repeats, device)]
     if request.json:
         sys.stdout.write(json.dumps({"device": torch.cuda.get_device_name(), "rows": rows}, indent=2) + "\n")
     else:
@@ -70,7 +70,7 @@ def main(words: list[str] | None = None) -> None:
             sys.stdout.write(_kernels(count, request.size, device) + "\n")
 
 
-def _rows(count: int, size: int, repeats: int, device: torch.device) -> list[dict]:
+def measured_rows(count: int, size: int, repeats: int, device: torch.device) -> list[dict]:
     """One row per backend. The backends' passes take turns, so that a device that slows down does so for all."""
     scene = bumpy_sphere(count, device)
     passes = {"triton": (_by_triton(size, device), [*scene])}

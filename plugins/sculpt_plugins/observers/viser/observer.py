@@ -31,7 +31,7 @@ _log = logging.getLogger("sculpt")
 _FIRST_KEPT_SECONDS = 0.5
 _KEPT_GROWTH = 1.15
 """Steps are kept at training times that grow by this factor: 10 s give 22 of them, 1000 s give 55."""
-_LAST_WORDS_SECONDS = 15.0
+LAST_WORDS_SECONDS = 15.0
 """How long the viewer may take to show the end."""
 
 
@@ -68,7 +68,7 @@ class ViserObserver(SteeringObserver):
         self._taken: _Taken | None = None
         self._writing = False
         self._closing = False
-        self._process = _start(config, run_dir)
+        self._process = start_page(config, run_dir)
         self._threads = [
             threading.Thread(target=self._publish, name="viser-publish", daemon=True),
             threading.Thread(target=self._listen, name="viser-listen", daemon=True),
@@ -109,7 +109,7 @@ class ViserObserver(SteeringObserver):
         with self._slot:
             self._closing = True
             self._slot.notify()
-        self._threads[0].join(timeout=_LAST_WORDS_SECONDS)
+        self._threads[0].join(timeout=LAST_WORDS_SECONDS)
         if self._ended:
             # mesh.ply and gaussians.ply are newer and hold as much.
             (self._run_dir / FOLDER / LIVE).unlink(missing_ok=True)
@@ -176,7 +176,7 @@ def _require_recorder(run_dir: Path) -> None:
         raise ConfigError(f"the viewer shows what the recorder writes; add it: --observers {names}")
 
 
-def _start(config: ViserConfig, run_dir: Path) -> "subprocess.Popen[str]":
+def start_page(config: ViserConfig, run_dir: Path) -> "subprocess.Popen[str]":
     """The page's process: one thread a library, so that the cores stay with training."""
     words = [sys.executable, "-m", "sculpt_framework.cli.view", str(run_dir), "--steer"]
     words += ["--host", config.host, "--port", str(config.port)]
@@ -198,7 +198,7 @@ def _end(process: "subprocess.Popen[str]") -> None:
     if process.stdin is not None:
         process.stdin.close()
     try:
-        process.wait(timeout=_LAST_WORDS_SECONDS)
+        process.wait(timeout=LAST_WORDS_SECONDS)
     except subprocess.TimeoutExpired:
         process.kill()
         process.wait()

@@ -26,7 +26,7 @@ from sculpt_framework.engine.run import run
 from sculpt_framework.errors import ConfigError, DataError
 from sculpt_framework.testing.viewer_client import announce, connected, find_control, received, send, set_control
 from sculpt_framework.types import Scene
-from sculpt_framework.viewing.frames import FOLDER, LIVE, write_frame
+from sculpt_framework.viewing.frames import FOLDER, LIVE, step_files, write_frame
 from sculpt_framework.viewing.html import write_html
 from sculpt_framework.viewing.run_folder import RunFolder
 from sculpt_framework.viewing.show import Show
@@ -68,21 +68,24 @@ def told(show: Show) -> list[dict]:
         return received(client, 0.7)
 
 
+def text_of(show: Show) -> str:
+    """What a browser that opens the page has to read."""
+    show.update()
+    return str([each for each in told(show) if each["type"].startswith("Gui")])
+
+
 def names(told: list[dict]) -> set[str]:
     return {message["name"] for message in told if message["type"] != "RemoveSceneNodeMessage" and "name" in message}
 
 
 def test_the_page_shows_the_run(show: Show):
-    eventually(lambda: show._scene is not None)
-    show.update()
-    messages_ = told(show)
-    text = str([each for each in messages_ if each["type"].startswith("Gui")])
+    eventually(lambda: "No photographs: they are gone" in text_of(show))
+    messages_, text = told(show), text_of(show)
     for words in ("**shape** by *tiny*", "Step 20, 2 s of training, about 8 s left", "8 faces, 8 Gaussians, 100 MB"):
         assert words in text
     assert "chamfer_ps 0.01, psnr 21.5" in text
     assert "decision: item initial surface, value Sphere" in text
     assert "After 20 steps, 2.0 s of training: 8 faces, 8 Gaussians." in text
-    assert "No photographs: they are gone" in text
     assert {"/mesh", "/box"} <= names(messages_)
     assert "/gaussians" not in names(messages_)
     assert sum(each["type"] == "GuiUplotMessage" for each in messages_) == 3
@@ -112,25 +115,20 @@ def test_switches_add_layers(show: Show):
 
 
 def test_a_newer_state_replaces_the_older(show: Show, tmp_path: Path):
-    show.update()
-    assert "After 20 steps" in show.stage._step_text.content
+    assert "After 20 steps" in text_of(show)
     write_frame(tmp_path / FOLDER / LIVE, octahedron(1.1), outer=30, t_train=3.0, whole=True)
-    show.update()
-    assert "After 30 steps" in show.stage._step_text.content
+    assert "After 30 steps" in text_of(show)
 
 
 def test_the_slider_goes_back_in_time(show: Show, tmp_path: Path):
     show.update()
-    show.stage._step.value = 0
-    show.update()
-    assert "After 1 steps, 0.1 s of training" in show.stage._step_text.content
+    change(show, "GuiSliderMessage", "Step", 0)
+    assert "After 1 steps, 0.1 s of training" in text_of(show)
     # It stays there whatever the run does, until it is moved back to the end.
     write_frame(tmp_path / FOLDER / LIVE, octahedron(1.1), outer=30, t_train=3.0, whole=True)
-    show.update()
-    assert "After 1 steps" in show.stage._step_text.content
-    show.stage._step.value = show.stage._step.max
-    show.update()
-    assert "After 30 steps" in show.stage._step_text.content
+    assert "After 1 steps" in text_of(show)
+    change(show, "GuiSliderMessage", "Step", len(step_files(tmp_path)))
+    assert "After 30 steps" in text_of(show)
 
 
 def press(show: Show, label: str) -> None:
@@ -185,12 +183,18 @@ def test_a_box_is_for_what_its_button_says(show: Show, sent: list[Command], kind
 
 def test_a_box_is_sent_in_world_frame(show: Show, sent: list[Command]):
     show.update()
-    show.controls._place_box()
-    assert show.controls._box is not None
-    show.controls._box._gizmo.position = (0.0, 1.0, 2.0)
-    show.controls._size.value = (1.0, 2.0, 4.0)
-    show.controls._send_box("refine")
+    press(show, "Place a box")
+    change(show, "GuiVector3Message", "Sides", (1.0, 2.0, 4.0))
+    with connected(address(show)) as client:
+        announce(client)
+        eventually(lambda: show.watching == 1)
+        moved = {"wxyz": (1.0, 0.0, 0.0, 0.0), "position": (0.0, 1.0, 2.0)}
+        send(client, messages.TransformControlsUpdateMessage(name="/gizmo", **moved))
+        received(client, 0.7)
+    press(show, "Refine here")
+    eventually(lambda: len(sent) == 1)
     (command,) = sent
+    assert isinstance(command, AddBox)
     assert (command.kind, command.minimum, command.maximum) == ("refine", (-0.5, 0.0, 0.0), (0.5, 2.0, 4.0))
 
 

@@ -2,6 +2,7 @@
 
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -350,11 +351,21 @@ def test_a_similarity_and_the_errors_left_are_found():
 
 
 class _Model:
+    """Of pycolmap: a model of so many photographs, all of which have a pose."""
+
     def __init__(self, placed: int):
         self.placed = placed
+        pose = SimpleNamespace(matrix=lambda: np.eye(4)[:3])
+        self.images = {
+            number: SimpleNamespace(has_pose=True, name=f"{number}.jpg", cam_from_world=lambda: pose)
+            for number in range(placed)
+        }
 
     def num_reg_images(self) -> int:
         return self.placed
+
+    def write(self, folder: Path) -> None:
+        assert folder.is_dir()
 
 
 @pytest.mark.parametrize(
@@ -374,22 +385,22 @@ class _Model:
 def test_pairs_with_many_matches_place_photographs_first(
     placed: list[int], stages: list[int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    pytest.importorskip("pycolmap")
+    pycolmap = pytest.importorskip("pycolmap")
     best = {"a": 100, "b": 200, "c": 200, "d": 900, "e": 0}
     known = Matched(features=dict.fromkeys(best, 4000), partners=dict.fromkeys(best, 2), best={**best, "f": 200})
     taken, begun = [], []
 
-    def mapped(database, images, folder, mapping, model, count, tell):
+    def mapped(database, images, folder, mapping, input_path, **told):
         taken.append(mapping.min_num_matches)
-        begun.append(model)
+        begun.append(input_path != "")
         now = placed[len(taken) - 1]
-        return [_Model(now)] if now else []
+        return {0: _Model(now)} if now else {}
 
     monkeypatch.setattr(colmap, "matched", lambda database: known)
-    monkeypatch.setattr(colmap, "_map", mapped)
+    monkeypatch.setattr(pycolmap, "incremental_mapping", mapped)
     (last,) = colmap.map_images(tmp_path / "db", tmp_path, tmp_path / "models", PosingOptions(), lambda done, of: None)
     assert taken == stages
     assert isinstance(last, _Model)
     assert last.placed == placed[-1]
-    assert begun[0] is None
-    assert (begun[1] is None) == (placed[0] == 0)
+    assert begun[0] is False
+    assert begun[1] == (placed[0] > 0)

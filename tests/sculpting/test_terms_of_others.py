@@ -105,21 +105,18 @@ Named = Callable[[type[LossConfig], str], None]
 
 
 @pytest.fixture
-def named(monkeypatch: pytest.MonkeyPatch) -> Named:
-    """Names for classes of this file, as an installed package's entry points give them."""
-    original = registry._candidates
+def named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Named:
+    """Names for classes of this file, by the entry points of packages that are installed for one test."""
 
     def give(kind: type[LossConfig], name: str) -> None:
+        site = tmp_path / f"site-{name}"
+        folder = site / f"of_others_{name}-1.0.dist-info"
+        folder.mkdir(parents=True)
+        (folder / "METADATA").write_text(f"Metadata-Version: 2.1\nName: of-others-{name}\nVersion: 1.0\n")
         value = f"{kind.__module__}:{kind.__qualname__}"
-        mine = {name: (registry.Candidate(name=name, package="of-others", value=value),)}
-        before = registry._candidates
-        monkeypatch.setattr(
-            registry,
-            "_candidates",
-            lambda group, table: {**before(group, table), **(mine if group.endswith("losses") else {})},
-        )
+        (folder / "entry_points.txt").write_text(f"[{registry.SLOTS['losses'].group}]\n{name} = {value}\n")
+        monkeypatch.syspath_prepend(site)
 
-    assert original is registry._candidates
     return give
 
 

@@ -1,7 +1,8 @@
 import gc
 import os
 import sys
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
 from types import ModuleType
@@ -54,3 +55,11 @@ def few_samples() -> None:
     from sculpt_framework.evaluation import evaluator
 
     evaluator.CURVE_SAMPLES, evaluator.RESULT_SAMPLES = 4_000, 10_000
+
+
+@pytest.fixture
+def time_passes(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
+    """``time_passes(seconds)``: the clock goes on by so much at once, and nobody waits."""
+    clock, passed = time.monotonic, [0.0]
+    monkeypatch.setattr(time, "monotonic", lambda: clock() + sum(passed))
+    return passed.append

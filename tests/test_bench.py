@@ -1,4 +1,6 @@
+import itertools
 import json
+import time
 from pathlib import Path
 
 import pytest
@@ -6,6 +8,7 @@ import torch
 
 from sculpt_framework.cli.bench import bench
 from sculpt_framework.cli.bench_cases import OPERATIONS_PER_PAIR, RASTERIZERS, fma_peak, raster_operations
+from sculpt_framework.cli.bench_kernels import WAYS, operations_of
 from sculpt_framework.cli.bench_memory import MemoryRow, plane, splats_on_a_sphere
 from sculpt_framework.cli.bench_splats import bumpy_sphere_camera
 from sculpt_framework.errors import ConfigError, DeviceError
@@ -55,9 +58,14 @@ def test_share_of_what_the_processor_does_at_best(capsys: pytest.CaptureFixture[
     assert 0.005 < row["share_of_peak"] < 1.0
 
 
-def test_the_peak_repeats():
-    first, second = fma_peak(), fma_peak()
-    assert first == pytest.approx(second, rel=0.5)
+def test_the_peak_is_that_of_the_fastest_pass(monkeypatch: pytest.MonkeyPatch):
+    """By a clock on which each pass takes a second, and the third half of one."""
+    seconds = [1.0, 1.0, 0.5, *[1.0] * 7]
+    ticks = itertools.accumulate(passed for each in seconds for passed in (0.0, each))
+    monkeypatch.setattr(time, "thread_time", lambda: next(ticks))
+    (few, _), (many, _) = WAYS
+    assert few < many < 2 * few
+    assert fma_peak() == operations_of(few, 20_000) / 0.5
 
 
 def test_pairs_are_those_of_the_contract():

@@ -1,6 +1,4 @@
 import os
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -30,11 +28,3 @@ def scene(scene_folder: Path) -> Scene:
 def command_environment() -> dict[str, str]:
     """For programs started by a test: as many threads as the test itself may use, else two."""
     return {"OMP_NUM_THREADS": "2", **os.environ, "COLUMNS": "200"}
-
-
-@pytest.fixture
-def time_passes(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
-    """``time_passes(seconds)``: the clock goes on by so much at once, and nobody waits."""
-    clock, passed = time.monotonic, [0.0]
-    monkeypatch.setattr(time, "monotonic", lambda: clock() + sum(passed))
-    return passed.append

@@ -1,13 +1,17 @@
 """Runs of seconds: a small scene, small components, few steps."""
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 
+import pytest
 import torch
 
 from sculpt_framework import registry
 from sculpt_framework.engine.session import Session
 from sculpt_framework.events import Event
+from sculpt_framework.export import atomic
 from sculpt_framework.geometry.band import discover
 from sculpt_framework.losses import TrainingImage
 from sculpt_framework.posed_images.training_images import prepare_image
@@ -93,3 +97,20 @@ def finished(session: Session, stop: Callable[[], bool] = lambda: False) -> Reco
         if stop():
             session.stop()
     return method_of(session).reconstruction()
+
+
+def files_of(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def fail_for(monkeypatch: pytest.MonkeyPatch, name: str, error: OSError) -> Callable[[], None]:
+    """Let the system refuse files of that name."""
+    original = os.replace
+
+    def refuse(source: Path, target: Path) -> None:
+        if Path(target).name == name:
+            raise error
+        original(source, target)
+
+    monkeypatch.setattr(atomic.os, "replace", refuse)
+    return lambda: monkeypatch.setattr(atomic.os, "replace", original)

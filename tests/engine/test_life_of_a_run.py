@@ -1,21 +1,18 @@
 """Stopping, resuming, failing: a run's directory is always worth having."""
 
-import errno
 import json
 import os
 import signal
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from safetensors import safe_open
-from safetensors.torch import save_file
-from small_runs import ONE_STAGE, TWO_STAGES, finished, small_config, train
+from small_runs import ONE_STAGE, TWO_STAGES, files_of, finished, small_config, train
 from torch import Tensor
 
 from sculpt_framework.cli.data import write_masks
@@ -26,13 +23,12 @@ from sculpt_framework.engine.milestones import Milestones
 from sculpt_framework.engine.run import load_finished, run, run_status
 from sculpt_framework.engine.session import Session
 from sculpt_framework.engine.steering import Steering
-from sculpt_framework.errors import CheckpointError, OutputError, TrainingFailed
+from sculpt_framework.errors import CheckpointError
 from sculpt_framework.evaluation.certificate import certify
 from sculpt_framework.evaluation.curve import read_curve
 from sculpt_framework.evaluation.evaluator import Evaluator
 from sculpt_framework.evaluation.mesh import load_mesh
 from sculpt_framework.events import Event
-from sculpt_framework.export import atomic
 from sculpt_framework.frame import WorldFrame, write_frame
 from sculpt_framework.reconstructor import Moment, StepReport
 from sculpt_framework.sculpting.method import Sculpting
@@ -41,9 +37,7 @@ from sculpt_framework.stop_rule import StopRule
 from sculpt_framework.types import Scene
 from sculpt_framework.viewing.run_folder import RunFolder
 from sculpt_plugins.appearances.per_gaussian.config import PerGaussianConfig
-from sculpt_plugins.datasets.blender.config import BlenderConfig
 from sculpt_plugins.extractors.flexicubes.config import FlexiCubesConfig
-from sculpt_plugins.observers.recorder.config import RecorderConfig
 
 LEARNABLE = FlexiCubesConfig(split="center", learn_weights=True, learn_deformation=True)
 VARIANTS = {
@@ -222,21 +216,6 @@ def test_a_slow_start_takes_nothing_from_the_rates(
 # -- run directories -------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def config(scene_folder: Path, tmp_path: Path) -> MethodConfig:
-    return small_config(
-        data=str(scene_folder),
-        dataset=BlenderConfig(),
-        observers=(RecorderConfig(),),
-        output=tmp_path / "run",
-        steps=4,
-    )
-
-
-def files_of(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-
-
 def interrupt_after(monkeypatch: pytest.MonkeyPatch, steps: int) -> None:
     """A Ctrl-C in the middle of an outer step."""
     original = Sculpting.step
@@ -320,192 +299,6 @@ def test_nothing_is_learned_from_test_views_the_reference_or_the_frame(
     taken = json.loads((tmp_path / "without" / "frame.json").read_text())
     assert taken == {"metres_per_unit": 0.25, "up": [0.0, 0.6, 0.8]}
     assert not (tmp_path / "run" / "frame.json").exists()
-
-
-# -- failure ---------------------------------------------------------------------------------------------------------
-
-
-@dataclass
-class Poison:
-    """Makes the field's parameters NaN before chosen outer steps."""
-
-    when: Sequence[int]
-    seen: int = 0
-
-    def install(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        original = BiLevelTrainer.update
-
-        def update(trainer: BiLevelTrainer, *arguments: object) -> object:
-            self.seen += 1
-            report = original(trainer, *arguments)  # pyright: ignore
-            if self.seen in self.when:
-                with torch.no_grad():
-                    for parameter in trainer.field.parameters():
-                        parameter.fill_(torch.nan)
-            return report
-
-        monkeypatch.setattr(BiLevelTrainer, "update", update)
-
-
-def test_one_nan_is_recovered_from(scene: Scene, monkeypatch: pytest.MonkeyPatch):
-    Poison(when=(3,)).install(monkeypatch)
-    outcome = train(small_config(), scene)
-    (recovered,) = outcome.of("recovered")
-    assert recovered.data["rate_scale"] == 0.5
-    assert "not finite" in recovered.data["error"]
-    assert certify(outcome.result.vertices, outcome.result.faces).watertight
-
-
-def test_the_last_step_may_be_the_one_that_fails(scene: Scene, monkeypatch: pytest.MonkeyPatch):
-    Poison(when=(8,)).install(monkeypatch)
-    outcome = train(small_config(steps=8), scene)
-    assert len(outcome.of("recovered")) == 1
-    assert np.isfinite(outcome.result.vertices).all()
-
-
-@pytest.mark.slow
-def test_repeated_failure_ends_with_the_best_mesh_so_far(config: MethodConfig, monkeypatch: pytest.MonkeyPatch):
-    Poison(when=range(2, 100)).install(monkeypatch)
-    with pytest.raises(TrainingFailed, match=r"cannot go on after .* best mesh until then is .*mesh\.ply"):
-        run(replace(config, steps=30), resume=None, started=0.0)
-    assert config.output is not None
-    assert run_status(config.output) == "failed"
-    mesh = load_mesh(config.output / "mesh.ply")
-    assert certify(mesh.vertices, mesh.faces).watertight
-
-
-def test_a_failure_before_any_surface_has_nothing_to_save(config: MethodConfig, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("sculpt_framework.sculpting.initial_fit.fit_field", poisoned_fit)
-    with pytest.raises(TrainingFailed, match="after 0 outer steps"):
-        run(config, resume=None, started=0.0)
-    assert config.output is not None
-    assert not (config.output / "mesh.ply").exists()
-
-
-def poisoned_fit(field: torch.nn.Module, *arguments: object, **options: object) -> float:
-    with torch.no_grad():
-        for parameter in field.parameters():
-            parameter.fill_(torch.nan)
-    return 0.0
-
-
-def fail_for(monkeypatch: pytest.MonkeyPatch, name: str, error: OSError) -> Callable[[], None]:
-    """Let the system refuse files of that name."""
-    original = os.replace
-
-    def refuse(source: Path, target: Path) -> None:
-        if Path(target).name == name:
-            raise error
-        original(source, target)
-
-    monkeypatch.setattr(atomic.os, "replace", refuse)
-    return lambda: monkeypatch.setattr(atomic.os, "replace", original)
-
-
-@pytest.mark.slow
-def test_a_disk_full_at_the_end_loses_nothing(config: MethodConfig, monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
-    free = fail_for(monkeypatch, "mesh.ply", OSError(errno.ENOSPC, "No space left on device"))
-    with pytest.raises(OutputError, match=r"mesh\.ply \(No space left on device\)"):
-        run(config, resume=None, started=0.0)
-    assert run_status(tmp_path / "run") is None
-    free()
-    run(config, resume=tmp_path / "run", started=0.0)
-    assert run_status(tmp_path / "run") == "finished"
-    run(replace(config, output=tmp_path / "other"), resume=None, started=0.0)
-    assert (tmp_path / "run" / "mesh.ply").read_bytes() == (tmp_path / "other" / "mesh.ply").read_bytes()
-
-
-@pytest.mark.slow
-def test_a_report_that_fails_is_a_warning(config: MethodConfig, monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
-    fail_for(monkeypatch, "report.html", OSError(errno.EROFS, "Read-only file system"))
-    run(config, resume=None, started=0.0)
-    assert run_status(tmp_path / "run") == "finished"
-    last = json.loads((tmp_path / "run" / "events.jsonl").read_text().splitlines()[-1])
-    assert last["event"] == "warning"
-    assert "Read-only file system" in last["data"]["message"]
-
-
-@pytest.mark.slow
-def test_a_finished_run_without_its_report_gets_it_when_resumed(
-    config: MethodConfig, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
-    """As a run that was killed while it wrote its report."""
-    folder = tmp_path / "run"
-    run(config, resume=None, started=0.0)
-    before = files_of(folder)
-    (folder / "report.html").rename(folder / ".report.html.0.partial")
-    run(config, resume=folder, started=0.0)
-    assert "has finished already" in capsys.readouterr().out
-    page = (folder / "report.html").read_text(encoding="utf-8")
-    assert "reference image (" in page
-    assert "rendering" in page
-    assert files_of(folder) == before | {"report.html": page.encode()}
-
-
-@pytest.mark.slow
-def test_a_finished_run_whose_data_are_gone_is_still_finished(
-    config: MethodConfig, tmp_path: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
-):
-    run(config, resume=None, started=0.0)
-    text = (tmp_path / "run" / "config.json").read_text()
-    (tmp_path / "run" / "config.json").write_text(text.replace(str(config.data), str(tmp_path / "gone")))
-    (tmp_path / "run" / "report.html").unlink()
-    run(config, resume=tmp_path / "run", started=0.0)
-    assert "has finished already" in capsys.readouterr().out
-    assert "no report" in caplog.text
-    assert not (tmp_path / "run" / "report.html").exists()
-
-
-# -- checkpoints -----------------------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def checkpoint(tmp_path: Path) -> Path:
-    progress = Progress(
-        outer=3, progress=0.5, trained_seconds=1.5, best_psnr=None, rate_scale=1.0, recoveries=0, milestones=[]
-    )
-    write_checkpoint(tmp_path, {"a": torch.arange(5)}, progress)
-    return tmp_path / "latest.safetensors"
-
-
-def test_checkpoints_go_round(checkpoint: Path):
-    state, progress = read_checkpoint(checkpoint.parent)
-    assert torch.equal(state["a"], torch.arange(5))
-    assert progress.outer == 3
-
-
-def test_another_version_is_one_line(checkpoint: Path):
-    with safe_open(checkpoint, framework="pt") as file:
-        header = {**file.metadata(), "format": "99"}
-    save_file({"a": torch.arange(5)}, checkpoint, metadata=header)
-    with pytest.raises(CheckpointError, match="checkpoint format 99, this version reads 1"):
-        read_checkpoint(checkpoint.parent)
-
-
-@pytest.mark.parametrize("keep", [0, 4, 60])
-def test_a_cut_checkpoint_is_one_line(checkpoint: Path, keep: int):
-    checkpoint.write_bytes(checkpoint.read_bytes()[:keep])
-    with pytest.raises(CheckpointError, match="is damaged and cannot be read"):
-        read_checkpoint(checkpoint.parent)
-
-
-def test_no_checkpoint_and_no_progress(checkpoint: Path):
-    save_file({"a": torch.arange(5)}, checkpoint, metadata={"format": "1", "progress": "{}"})
-    with pytest.raises(CheckpointError, match="no valid progress"):
-        read_checkpoint(checkpoint.parent)
-    checkpoint.unlink()
-    with pytest.raises(CheckpointError, match="no checkpoint at"):
-        read_checkpoint(checkpoint.parent)
-
-
-def test_a_full_disk_keeps_the_old_checkpoint(checkpoint: Path, monkeypatch: pytest.MonkeyPatch):
-    before = checkpoint.read_bytes()
-    fail_for(monkeypatch, checkpoint.name, OSError(errno.ENOSPC, "No space left on device"))
-    _, progress = read_checkpoint(checkpoint.parent)
-    with pytest.raises(OutputError, match="No space left"):
-        write_checkpoint(checkpoint.parent, {"a": torch.zeros(2)}, progress)
-    assert checkpoint.read_bytes() == before
-    assert list(checkpoint.parent.iterdir()) == [checkpoint]
 
 
 def test_a_checkpoint_of_other_components_is_one_line(scene: Scene):

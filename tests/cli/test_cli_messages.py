@@ -7,12 +7,9 @@ import pytest
 from sculpt_framework.cli.train import main
 from sculpt_framework.command_line.request import parse, read_request
 from sculpt_framework.errors import SculptError
+from sculpt_plugins import builtin
 
-OTHERS = (
-    *("3dgsr", "gof", "gsdf", "nerf", "neus", "pgsr", "relightable", "splatting-2d", "splatting-3d", "sugar"),
-    "volsdf",
-)
-METHODS = ", ".join([*(f"gaussian-sculpting{end}" for end in ("", "-fine", "-everything", "-paper", "-tiny")), *OTHERS])
+METHODS = ", ".join(builtin.METHODS)
 BUILT_IN = "mlp, hash-grid, dense-grid, fancy, plain"
 
 MISTAKES = {
@@ -43,8 +40,7 @@ MISTAKES = {
         "--field.octaves belongs to field 'fancy', but this run uses 'plain'. Add --field fancy."
     ),
     "fake --data x --field.no-coarse_to_fine": (
-        "--field.coarse-to-fine belongs to field 'hash-grid' and 'fancy', but this run uses 'plain'. "
-        "Add --field hash-grid or --field fancy."
+        "--field.coarse-to-fine belongs to field 'fancy', but this run uses 'plain'. Add --field fancy."
     ),
     "fake --data x --constraints.even.weight=2": (
         "--constraints.even.weight belongs to constraint 'even', which this run does not use. "

@@ -1,7 +1,8 @@
 """The methods of the paper's tables at the size of their own papers: hours on a GPU, days on a CPU.
 
-Where a number is a paper's, its place is named; "program" is what its authors published. What is not named here is as
-in the method of the same name without ``-paper``, which says where that is from.
+Where a number is a paper's, its place is named; "program" is what its authors published. The papers were not at hand
+when this was written: check a place before it is cited. What is not named here is as in the method of the same name
+without ``-paper``, which says where that is from; cells of meshes and limits are ours.
 """
 
 from dataclasses import replace

@@ -66,7 +66,7 @@ def read_request(words: Sequence[str]) -> TrainRequest:
 def overview() -> str:
     """The text of ``sculpt-train --help``."""
     names = registry.method_names()
-    of_paper = [name for name in names if name.removesuffix(PAPER) != name and name.removesuffix(PAPER) in names]
+    of_paper = [name for name in names if name.endswith(PAPER) and name.removesuffix(PAPER) in names]
     width = max(map(len, names)) + 2
     lines = [f"  {name:{width}}{_first_line(name)}" for name in names if name not in of_paper]
     if of_paper:

@@ -16,6 +16,7 @@ into the unit ball; its z axis points up. An image that is there is not rendered
 - museum: dark bronze and gold under spot lights.
 - board: phone again, with a printed board under the object; plate: turntable again, with one under a plain object that
   turns with it. Their frame.json says what a unit is in metres.
+- forest: phone again, of a part of a tree from one side, outside; shelf: phone again, before a wall, from one side.
 - flipped: turntable again, and a second time with the object on its head.
 """
 
@@ -61,6 +62,8 @@ KINDS = {
     ),
     "board": Kind(room="phone", rig=rigs.phone, objects={"box": printed.box_and_mug}, board=True),
     "plate": Kind(room="turntable", rig=rigs.turntable, objects={"statue": carvings.plain_statue}, board=True),
+    "forest": Kind(room="forest", rig=rigs.forest, objects={"trunk": carvings.trunk}, pose_error=0.4),
+    "shelf": Kind(room="shelf", rig=rigs.shelf, objects={"fox": carvings.fox}, pose_error=0.4),
     "flipped": Kind(room="turntable", rig=rigs.twice, objects={"box": printed.box_and_mug}),
 }
 NAMES = [f"{kind}_{name}" for kind in KINDS for name in KINDS[kind].objects]

@@ -60,6 +60,16 @@ def cape() -> list[Piece]:
     return [_piece(_cape, "gold", _grimy)]
 
 
+def trunk() -> list[Piece]:
+    """A tree with bark and roots, into which a face is cut; taller than photographs of the face show."""
+    return [_piece(_trunk, "bark", _weathered)]
+
+
+def fox() -> list[Piece]:
+    """A stuffed fox with ears thinner than a finger, on its chest."""
+    return [_piece(_fox, "fur", _red_and_white)]
+
+
 def _piece(
     distance: Callable[[Points], Values], paint: str, tint: Callable[[Points], np.ndarray] | None = None
 ) -> Piece:
@@ -246,6 +256,46 @@ def _bosses(along: Values, z: Values) -> Values:
     return total
 
 
+def _trunk(p: Points) -> Values:
+    turn, z = np.arctan2(p[1], p[0]), p[2]
+    far = length(p[0] - 0.04 * z, p[1])
+    radius = 0.36 + 0.25 * np.exp(-(z + 0.95) / 0.22) * (0.6 + 0.4 * np.cos(5 * turn + 0.7)) + 0.02 * np.sin(2 * turn)
+    wood = np.maximum(0.7 * (far - radius), np.abs(z) - 0.93)
+    q = _mirrored(p)
+    bare = smooth_union(sphere(q, (0, -0.16, 0.1), 0.27), sphere(q, (0, -0.13, -0.1), 0.24), 0.1)
+    wood = smooth_difference(wood, sphere(q, (0.0, -0.6, 0.02), 0.34), 0.03)
+    wood = smooth_union(wood, bare, 0.02)
+    wood = smooth_difference(wood, sphere(q, (0.1, -0.41, 0.12), 0.065), 0.03)
+    wood = smooth_union(wood, sphere(q, (0.1, -0.365, 0.115), 0.04), 0.008)
+    wood = smooth_union(wood, capsule(q, (0, -0.4, 0.13), (0, -0.45, -0.02), 0.035), 0.03)
+    wood = smooth_union(wood, capsule(q, (0.03, -0.4, 0.21), (0.16, -0.34, 0.2), 0.025), 0.02)
+    wood = smooth_difference(wood, capsule(q, (0, -0.4, -0.12), (0.08, -0.37, -0.11), 0.022), 0.015)
+    carved = np.exp(-((length(p[0], p[1] + 0.45, p[2] - 0.02) / 0.33) ** 4))
+    ridges = np.abs(np.sin(11 * turn + 1.5 * waves(p, 0.35, 31))) ** 0.7
+    bark = (0.03 * ridges + 0.008 * waves(p, 0.08, 32)) * (1 - carved) + 0.003 * waves(p, 0.05, 33)
+    return 0.4 * (wood - bark)
+
+
+def _fox(p: Points) -> Values:
+    q = _mirrored(p)
+    skull_ = smooth_union(sphere(q, (0, 0.0, 0.38), 0.3), capsule(q, (0.1, -0.1, 0.3), (0.2, -0.08, 0.26), 0.14), 0.12)
+    snout = smooth_union(capsule(q, (0, -0.2, 0.3), (0, -0.56, 0.2), 0.09), sphere(q, (0, -0.3, 0.27), 0.14), 0.1)
+    head_ = smooth_union(skull_, snout, 0.08)
+    head_ = smooth_union(head_, sphere(q, (0, -0.64, 0.22), 0.05), 0.02)
+    ear = np.maximum(
+        0.8 * (length(q[0] - 0.2 - 0.12 * (q[2] - 0.55), 1.8 * (q[1] - 0.02)) - 0.13 + 0.32 * (q[2] - 0.6)), 0.5 - q[2]
+    )
+    ear = smooth_difference(ear, capsule(q, (0.2, -0.1, 0.55), (0.25, -0.06, 0.95), 0.07), 0.02)
+    head_ = smooth_union(head_, ear, 0.04)
+    head_ = smooth_difference(head_, sphere(q, (0.13, -0.28, 0.42), 0.05), 0.03)
+    head_ = smooth_union(head_, sphere(q, (0.12, -0.25, 0.415), 0.04), 0.006)
+    chest = smooth_union(
+        capsule(p, (0, 0.08, 0.2), (0, 0.12, -0.4), 0.26), disc(p, (0, 0.1, -0.72), 0.42, 0.1, 0.05), 0.3
+    )
+    fur = 0.007 * waves(np.stack([2 * p[0], 2 * p[1], p[2]]), 0.12, 34) + 0.004 * waves(p, 0.04, 35)
+    return 0.4 * (smooth_union(head_, chest, 0.15) - fur)
+
+
 def _gray(values: Values) -> np.ndarray:
     return np.stack([values] * 3, axis=1)
 
@@ -289,3 +339,21 @@ def _painted_bands(p: Points) -> np.ndarray:
     inner = _pot(np.stack([p[0] * (1 + 0.03 / far), p[1] * (1 + 0.03 / far), z])) < -0.002
     color[inner & (z < 0.69)] = [0.5, 0.25, 0.13]
     return color
+
+
+def _weathered(p: Points) -> np.ndarray:
+    """Grey bark with moss on one side, brighter wood where it is cut."""
+    cut = np.exp(-((length(p[0], p[1] + 0.45, p[2] - 0.02) / 0.33) ** 4))[:, None]
+    moss = np.clip(0.8 * waves(p, 0.4, 36) + 1.2 * p[0] - 0.3, 0, 1)[:, None]
+    bark = (1 - moss) * np.array([0.2, 0.16, 0.12]) + moss * np.array([0.12, 0.2, 0.06])
+    return (1 - cut) * bark + cut * np.array([0.45, 0.32, 0.2])
+
+
+def _red_and_white(p: Points) -> np.ndarray:
+    """Red, white at cheeks and chest, dark at nose, eyes and ears."""
+    white = _step(0.24 - p[2] - 0.4 * np.abs(p[0])) * _step(-p[1] - 0.12)
+    dark = _step(0.07 - length(p[0], p[1] + 0.66, p[2] - 0.22)) + _step(p[2] - 0.8)
+    dark = dark + _step(0.06 - length(np.abs(p[0]) - 0.12, p[1] + 0.27, p[2] - 0.415))
+    white, dark = white[:, None], np.clip(dark, 0, 1)[:, None]
+    fur = (1 - white) * np.array([0.55, 0.2, 0.06]) + white * np.array([0.75, 0.7, 0.62])
+    return (1 - dark) * fur + dark * np.array([0.03, 0.025, 0.02])

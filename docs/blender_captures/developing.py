@@ -37,18 +37,21 @@ class Camera:
     """Pixels to be rendered on each side beyond the image, for the lens to bend in."""
 
 
+_HAND_HELD = Camera(
+    stops=0.1,
+    stops_spread=0.35,
+    white_spread=0.07,
+    shot_noise=4e-4,
+    read_noise=2e-3,
+    quality=88,
+    distortion=Distortion(coefficients=(-0.07, 0.03, 0.0008, -0.0006)),
+    border=28,
+)
 CAMERAS = {
     "lab": Camera(stops=-0.95, shot_noise=2e-5, read_noise=5e-4),
-    "phone": Camera(
-        stops=0.1,
-        stops_spread=0.35,
-        white_spread=0.07,
-        shot_noise=4e-4,
-        read_noise=2e-3,
-        quality=88,
-        distortion=Distortion(coefficients=(-0.07, 0.03, 0.0008, -0.0006)),
-        border=28,
-    ),
+    "phone": _HAND_HELD,
+    "forest": _HAND_HELD,
+    "shelf": _HAND_HELD,
     "turntable": Camera(stops=-0.4, shot_noise=6e-5, read_noise=8e-4),
     "museum": Camera(stops=0.2, stops_spread=0.12, white_spread=0.02, shot_noise=2e-4, read_noise=1.5e-3, quality=92),
 }

@@ -126,6 +126,29 @@ def museum() -> Rig:
     return Rig(focal=700.0, shots=tuple(shots))
 
 
+def forest() -> Rig:
+    """By hand, from one side, too near for all of a tree."""
+    chance = np.random.default_rng(14)
+    shots = []
+    for count, elevation, distance in ((9, -6, 1.9), (8, 10, 1.75), (6, 27, 1.9)):
+        for azimuth in np.linspace(-58, 58, count):
+            place = around(distance * chance.uniform(0.88, 1.1), azimuth + chance.normal(0, 4), elevation)
+            target = np.array([0, -0.2, 0.02]) + chance.normal(0, 0.06, 3)
+            shots.append(Shot(pose=looking(place, target, chance.normal(0, 0.05))))
+    return Rig(focal=560.0, shots=tuple(shots))
+
+
+def shelf() -> Rig:
+    """By hand, in three bows from one side to the other."""
+    chance = np.random.default_rng(15)
+    shots = []
+    for count, elevation, distance in ((15, 4, 2.4), (15, 20, 2.3), (10, 40, 2.3)):
+        for azimuth in np.linspace(-70, 70, count):
+            place = around(distance * chance.uniform(0.9, 1.1), azimuth + chance.normal(0, 3), elevation)
+            shots.append(Shot(pose=looking(place, chance.normal(0, 0.05, 3), chance.normal(0, 0.05))))
+    return Rig(focal=560.0, shots=tuple(shots))
+
+
 def turned(angle: float) -> Pose:
     """About z, in radians."""
     pose = np.eye(4)

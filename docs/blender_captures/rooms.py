@@ -6,7 +6,7 @@ import numpy as np
 import trimesh
 
 from blender_captures.paints import material
-from blender_captures.parts import block, disc, rod
+from blender_captures.parts import at, block, disc, rod
 from blender_captures.stage import add_area_lamp, add_mesh, add_spot, sky
 
 
@@ -115,8 +115,47 @@ def museum(scene, floor: float, grain: str) -> Room:
     return Room(things=tuple(_thing(scene, grain, mesh, paint) for mesh, paint in meshes))
 
 
+def forest(scene, floor: float, grain: str) -> Room:
+    """Other trees, bushes and a ground of leaves under an open sky."""
+    chance = np.random.default_rng(32)
+    meshes = [(block([30, 30, 0.1], [0, 0, floor - 0.02]), "leaves")]
+    for _ in range(26):
+        turn, far = chance.uniform(0, 2 * np.pi), chance.uniform(3, 11)
+        if np.cos(turn) * far < 1.5 and np.sin(turn) < -0.2:
+            continue
+        x, y, wide = far * np.cos(turn), far * np.sin(turn), chance.uniform(0.1, 0.4)
+        meshes.append((rod([x, y, floor], [x + chance.normal(0, 0.3), y, 9], wide, 24), "wood"))
+    for _ in range(22):
+        turn, far = chance.uniform(-0.1, np.pi + 0.1), chance.uniform(2, 6)
+        bush = trimesh.creation.icosphere(subdivisions=3, radius=chance.uniform(0.2, 0.8))
+        bush.vertices *= 1 + chance.normal(0, 0.06, (len(bush.vertices), 1))
+        meshes.append((at(bush, [far * np.cos(turn), far * np.sin(turn), floor + 0.1]), "leaves"))
+    sky(scene, (0.75, 0.87, 1), 0.9)
+    add_area_lamp(scene, (4, -5, 7), 900, 1.0, (1, 0.93, 0.8))
+    return Room(things=tuple(_thing(scene, grain, mesh, paint) for mesh, paint in meshes))
+
+
+def shelf(scene, floor: float, grain: str) -> Room:
+    """A shelf before a wall with pictures, other things beside, a window on one side."""
+    meshes = [(block([5, 1.6, 0.1], [0, 0.15, floor - 0.05]), "wood"), (block([9, 0.1, 7], [0, 1.0, 1]), "wall")]
+    meshes += [(block([9, 0.1, 7], [0, -5, 1]), "wall"), (block([0.1, 7, 7], [-4, -1.5, 1]), "sandstone")]
+    for x, z, wide, high, paint in ((-1.4, 0.7, 0.8, 1.0, "books"), (1.5, 0.9, 1.0, 0.7, "copper")):
+        meshes.append((block([wide, 0.06, high], [x, 0.93, z]), paint))
+    for x, size, paint in (
+        (-1.15, (0.15, 0.5, 0.7), "books"),
+        (-1.33, (0.17, 0.45, 0.6), "brick"),
+        (1.2, (0.4, 0.3, 0.3), "slate"),
+    ):
+        meshes.append((block(size, [x, 0.4, floor + size[2] / 2], [0, 0, 8 * x]), paint))
+    meshes.append((block([0.05, 2.2, 1.8], [3.9, -1.2, 1.5]), "window"))
+    sky(scene, (1, 1, 1), 0.2)
+    add_area_lamp(scene, (3.6, -1.4, 1.8), 330, 1.8, (0.85, 0.93, 1))
+    add_area_lamp(scene, (-1.0, -2.0, 4.0), 260, 0.6, (1, 0.85, 0.65))
+    return Room(things=tuple(_thing(scene, grain, mesh, paint) for mesh, paint in meshes))
+
+
 def _thing(scene, grain: str, mesh: trimesh.Trimesh, paint: str):
     return add_mesh(scene, paint, mesh, material(paint, grain), smooth=True)
 
 
-ROOMS = {"lab": lab, "phone": phone, "turntable": turntable, "museum": museum}
+ROOMS = {"lab": lab, "phone": phone, "turntable": turntable, "museum": museum, "forest": forest, "shelf": shelf}

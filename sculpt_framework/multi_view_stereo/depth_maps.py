@@ -34,6 +34,8 @@ _COUNTED, _JUDGES = 3, 4
 _BACK_PIXELS, _BACK_SHARE, _ALIKE = 1.5, 0.01, 0.8
 """Depths of two views are the same if a point comes back within so many pixels, its depth within such a share, and the
 cosine between the normals is not smaller."""
+_FARTHEST = 1e3
+"""Object units: as good as infinitely far."""
 _SURE = 4
 """Views that agree after which more of them do not make a depth surer."""
 _WORST = 0.6
@@ -50,6 +52,8 @@ class StereoOptions:
     """Views each view is compared with."""
     agreeing: int
     """Views that must have the same depth for it to be believed."""
+    beyond: bool = False
+    """Whether what stands behind the solid part has depths, too, as far as there is anything."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -137,7 +141,7 @@ def find_depths(
     stack, planes = stereo_views(views, sides[-1] / 2), None
     for side in reversed(sides):
         if planes is None:
-            planes, rounds = _blank(stack, solid), _FIRST
+            planes, rounds = _blank(stack, solid, options.beyond), _FIRST
         else:
             finer = stereo_views(views, side / 2)
             planes, stack, rounds = _at_finer(planes, stack, finer), finer, _FINER
@@ -147,7 +151,7 @@ def find_depths(
             _sweep(stack, planes, others, each, seed=side + number, tell=_Adder(tell, done, share))
             done += share * len(stack)
     assert planes is not None  # noqa: S101
-    return _believed(stack, planes, others, options.agreeing)
+    return _believed(stack, planes, others, options)
 
 
 class _Adder:
@@ -183,10 +187,12 @@ def depth_bounds(
     return nearest, farthest
 
 
-def _blank(stack: StereoViews, solid: Volume) -> _Planes:
-    """Nothing known but where along each ray there is something solid."""
+def _blank(stack: StereoViews, solid: Volume, beyond: bool) -> _Planes:
+    """Nothing known but where along each ray there is something solid, and whether there may be something behind it."""
     shape = stack.luminance.shape
     nearest, farthest = depth_bounds(stack, solid.values < solid.cell, solid)
+    if beyond:
+        farthest[farthest > 0] = _FARTHEST
     return _Planes(
         depths=np.zeros(shape, np.float32),
         normals=np.zeros((*shape, 3), np.float32),
@@ -241,18 +247,23 @@ def _sweep(
     in_threads(improve, range(len(stack)))
 
 
-def _believed(stack: StereoViews, planes: _Planes, others: Sequence[Int64[np.ndarray, " _"]], least: int) -> DepthMaps:
+def _believed(
+    stack: StereoViews, planes: _Planes, others: Sequence[Int64[np.ndarray, " _"]], options: StereoOptions
+) -> DepthMaps:
     shape = stack.luminance.shape
     agreeing, against = np.zeros(shape, np.int32), np.zeros(shape, np.int32)
 
     def look(i: int) -> None:
+        # A pixel is an ever larger share of the depth behind the object, and always one of an inverse depth.
+        near = float(np.linalg.norm(stack.positions[i])) if options.beyond else _FARTHEST
         kernels.agree(
             stack.lenses, i, others[i], stack.relative(i, others[i]), planes.depths, planes.normals,
-            np.float32(_BACK_PIXELS), np.float32(_BACK_SHARE), np.float32(_ALIKE), agreeing[i], against[i],
+            np.float32(_BACK_PIXELS), np.float32(_BACK_SHARE), np.float32(near), np.float32(_ALIKE),
+            agreeing[i], against[i],
         )  # fmt: skip
 
     in_threads(look, range(len(stack)))
-    believed = (planes.depths > 0) & (agreeing >= least) & (against <= agreeing) & (planes.costs < _WORST)
+    believed = (planes.depths > 0) & (agreeing >= options.agreeing) & (against <= agreeing) & (planes.costs < _WORST)
     sureness = np.minimum(agreeing, _SURE).astype(np.float32) / np.float32(_SURE)
     return DepthMaps(
         views=stack,

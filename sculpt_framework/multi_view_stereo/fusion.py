@@ -87,7 +87,7 @@ def fuse_without_outlines(space: Volume, maps: DepthMaps) -> tuple[Volume, Bool[
     prior = np.where(hidden > 0, np.float32(2 * _PRIOR), np.float32(_PRIOR))
     least = np.where(asked, _LOWEST, np.float32(1))
     wanted, weights, known = _told(space, asked, maps, before, prior)
-    return space.holding(_smoothed(wanted, weights, least)), known
+    return space.holding(_smoothed(wanted, weights, least)), known & (wanted < 1)
 
 
 def _told(

@@ -287,10 +287,11 @@ def improve(luminance, inside, lenses, view, others, relative, before, geometric
 
 
 @njit(**_OPTIONS)
-def agree(lenses, view, others, relative, depths, normals, pixels, share, cosine, agreeing, against):
+def agree(lenses, view, others, relative, depths, normals, pixels, share, near, cosine, agreeing, against):
     """Count per pixel of one view the ``others`` whose depth and normal say the same, and those that say otherwise.
 
-    The same: a point comes back within ``pixels``, its depth within a ``share``, the normals within a ``cosine``.
+    The same: a point comes back within ``pixels``, its depth within a ``share``, which grows with the depth from
+    ``near`` on, the normals within a ``cosine``.
     Otherwise: the other view sees through the point.
     """
     height, width = depths.shape[1], depths.shape[2]
@@ -318,11 +319,12 @@ def agree(lenses, view, others, relative, depths, normals, pixels, share, cosine
                 seen = depths[other, i, j]
                 if not seen > 0:
                     continue
-                if seen > far * (_ONE + _TWO * share):
+                allowed = share * max(far, far * far / near)
+                if seen > far + _TWO * allowed:
                     against[row, column] += 1
                     continue
                 back = _disagreement(depths, lenses, view, other, relative, n, x, y, depth, u0, v0)
-                if back > pixels or abs(seen - far) > share * far:
+                if back > pixels or abs(seen - far) > allowed:
                     continue
                 alike = _ZERO
                 for k in range(3):

@@ -21,7 +21,7 @@ from sculpt_framework.multi_view_stereo.fusion import fuse_without_outlines
 from sculpt_framework.multi_view_stereo.stereo_views import StereoViews, stereo_views
 from sculpt_framework.posed_images.grab_cut import LEAST, cut_along, masked
 from sculpt_framework.posed_images.plain_parts import agreed, grown
-from sculpt_framework.posed_images.support import Plane, find_support
+from sculpt_framework.posed_images.support import Plane, find_planes, goes_on
 from sculpt_framework.shape_from_images.volume import Volume, whole_box
 from sculpt_framework.threads import in_threads
 from sculpt_framework.types import Box, View
@@ -49,6 +49,8 @@ _CLEAR = 0.01
 _OWN, _GROWN = 0.1, 2
 """Pieces with so many of the depths that the largest has belong to the object, too; a depth is a piece's within so many
 cells."""
+_AIMED = 0.2
+"""Shares of an image's sides from its middle within which depths count: photographs are taken of the object."""
 _BURNT_OUT = 0.98
 """Brightness of a channel from which on it says only that there was much light."""
 _KNOWN = 0.02
@@ -59,6 +61,13 @@ the first where the space is known to hold the object, of which there may be mor
 _SURE, _SHOWN = 0.6, 0.85
 """Share of the masks in which what is nearest must have been seen, and of the images that must show it: else views
 agree by chance."""
+
+
+_CUT_AWAY = {
+    1: "the plane it stands on is",
+    2: "the planes it stands on and before are",
+    3: "three planes around it are",
+}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -103,9 +112,7 @@ def find_object(
         done = _masked(given, _with_plain_parts(posed, rough, stack, solid))
     train = [view for view in done[: len(views)] if _shows(view)]
     said = f"{bare} of {len(done)} images have no mask: the object is what they agree on in depth ({solid.known})"
-    said += (
-        "; the plane it stands on is cut away (--dataset.keep-support leaves it)" if solid.support is not None else ""
-    )
+    said += f"; {_CUT_AWAY[len(solid.planes)]} cut away (--dataset.keep-support leaves it)" if solid.planes else ""
     said += "; look at the masks: sculpt-data masks DIR."
     if len(train) < len(views):
         said += f" {len(views) - len(train)} images that do not show it are left out."
@@ -128,8 +135,10 @@ class _Solid:
     inside: Bool[np.ndarray, "x y z"]
     seen: Bool[np.ndarray, "x y z"]
     """Near what some view sees."""
+    planes: list[Plane]
+    """What it stands on or before, which is cut away."""
     support: Plane | None
-    """What it stands on, which is cut away."""
+    """Of these, the one it stands on."""
     known: str
     """What there is of depths, in words."""
 
@@ -139,23 +148,26 @@ def _solid(views: Sequence[View], *, sure: bool, keep_support: bool) -> _Solid |
     reach = min([1.0, *(_WITHIN * float(view.camera.position.norm()) for view in views)])
     space = whole_box((1.0, 1.0, 1.0), _SPACE_CELLS)
     ball = np.linalg.norm(space.points, axis=1).astype(np.float32) - np.float32(reach)
-    options = StereoOptions(pixels=round(_AROUND * _PIXELS), neighbours=_NEIGHBOURS, agreeing=_AGREEING)
+    options = StereoOptions(pixels=round(_AROUND * _PIXELS), neighbours=_NEIGHBOURS, agreeing=_AGREEING, beyond=True)
     maps = _without_burnt_out(find_depths(views, space.holding(ball.reshape(space.shape)), options), views)
     known = f"depths at {100 * maps.known:.0f} % of the pixels of {len(maps.views)} views"
     if maps.known < _KNOWN:
         return f"only {known}: neighbouring views show little that is alike"
-    points, normals = _cloud(maps)
+    points, normals, aimed = _cloud(maps)
     half = _MORE / _AROUND
-    support = None if keep_support else find_support(points, normals, half)
     volume = whole_box((half, half, half), _CELLS)
     shape, seen = fuse_without_outlines(volume, maps)
-    inside = _pieces(shape, points, support)
-    if inside is None:
+    planes = [] if keep_support else find_planes(points, normals, half)
+    inside, own = _pieces(shape, points, aimed, planes)
+    while ends := [plane for plane in planes if not goes_on(plane, points, points[own], half)]:
+        planes.remove(ends[0])
+        inside, own = _pieces(shape, points, aimed, planes)
+    if not own.any():
         return f"{known}, of which none are on something solid beside what it may stand on"
     walls = [wall for axis in range(3) for wall in (inside.take(0, axis), inside.take(-1, axis))]
     if not keep_support and sum(wall.mean() > _WALLED for wall in walls) >= (_ROOM if sure else _OPEN):
         return f"{known}, but what they show fills the space: no object ends within it"
-    return _Solid(volume=volume, inside=inside, seen=seen, support=support, known=known)
+    return _Solid(volume=volume, inside=inside, seen=seen, planes=planes, support=_lowest(planes, views), known=known)
 
 
 def _without_burnt_out(maps: DepthMaps, views: Sequence[View]) -> DepthMaps:
@@ -175,38 +187,50 @@ def _cube(seed: Box) -> Box:
     return Box(minimum=seed.center - half, maximum=seed.center + half)
 
 
-def _cloud(maps: DepthMaps) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3"]]:
-    """All depths as points with normals."""
-    points, normals = [], []
+def _lowest(planes: Sequence[Plane], views: Sequence[View]) -> Plane | None:
+    """Of several the one the object stands on, as photographs are seldom taken upside down."""
+    up = -np.stack([view.camera.world_to_camera[1, :3].double().numpy() for view in views]).mean(axis=0)
+    return max(planes, key=lambda plane: float(plane.normal @ up), default=None)
+
+
+def _cloud(
+    maps: DepthMaps,
+) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3"], Float64[np.ndarray, " n"]]:
+    """All depths as points with normals, and how much each is in the middle of its image."""
+    points, normals, aimed = [], [], []
     for view, (depths, facing) in enumerate(zip(maps.depths, maps.normals, strict=True)):
         rows, columns = np.nonzero(depths > 0)
         fx, fy, cx, cy = maps.views.lenses[view].tolist()
+        height, width = maps.views.sizes[view].tolist()
+        off = np.hypot((columns + 0.5) / width - 0.5, (rows + 0.5) / height - 0.5)
+        aimed.append(np.exp(-0.5 * (off / _AIMED) ** 2))
         rays = np.stack([(columns + 0.5 - cx) / fx, (rows + 0.5 - cy) / fy, np.ones(len(rows))], axis=1)
         turn, shift = maps.views.poses[view, :, :3].astype(float), maps.views.poses[view, :, 3].astype(float)
         points.append((rays * depths[rows, columns, None] - shift) @ turn)
         normals.append(facing[rows, columns].astype(float) @ turn)
-    return np.concatenate(points), np.concatenate(normals)
+    return np.concatenate(points), np.concatenate(normals), np.concatenate(aimed)
 
 
 def _pieces(
-    shape: Volume, points: Float64[np.ndarray, "n 3"], support: Plane | None
-) -> Bool[np.ndarray, "x y z"] | None:
-    """The cells of the pieces above the support that most points lie on, without bubbles; None if there are none."""
-    inside = shape.values < 0
-    if support is not None:
-        inside &= (support.height(shape.points.astype(float)) > _CLEAR).reshape(shape.shape)
-        points = points[support.height(points) > 2 * _CLEAR]
+    shape: Volume, points: Float64[np.ndarray, "n 3"], aimed: Float64[np.ndarray, " n"], planes: Sequence[Plane]
+) -> tuple[Bool[np.ndarray, "x y z"], Bool[np.ndarray, " n"]]:
+    """The cells of the pieces above the planes that most points lie on, by their weights ``aimed``, without bubbles;
+    and which points these are, none if there are no such pieces."""
+    inside, counted = shape.values < 0, np.ones(len(points), bool)
+    for plane in planes:
+        inside &= (plane.height(shape.points.astype(float)) > _CLEAR).reshape(shape.shape)
+        counted &= plane.height(points) > 2 * _CLEAR
     labels = np.zeros(inside.shape, np.int32)
     ndimage.label(inside, output=labels)
     near = ndimage.grey_dilation(labels, size=2 * _GROWN + 1)
     cells = np.floor((points - np.array(shape.origin)) / shape.cell).astype(np.int64)
-    cells = cells[((cells >= 0) & (cells < np.array(shape.shape))).all(axis=1)]
-    counts = np.bincount(near[tuple(cells.T)], minlength=int(labels.max()) + 1)
+    counted &= ((cells >= 0) & (cells < np.array(shape.shape))).all(axis=1)
+    held = np.zeros(len(points), np.int32)
+    held[counted] = near[tuple(cells[counted].T)]
+    counts = np.bincount(held, aimed, minlength=int(labels.max()) + 1)
     counts[0] = 0
-    if not counts.max():
-        return None
-    own = counts >= _OWN * counts.max()
-    return np.asarray(ndimage.binary_fill_holes(own[labels]), dtype=bool)
+    own = counts >= max(_OWN * counts.max(), 1e-9)
+    return np.asarray(ndimage.binary_fill_holes(own[labels]), dtype=bool), own[held]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -250,8 +274,8 @@ def _with_plain_parts(
     volume = whole_box((half, half, half), _PLAIN_CELLS)
     points = volume.points.astype(float)
     full = agreed(points, [views[number].camera for number in showing], masks)
-    if solid.support is not None:
-        full &= solid.support.height(points) > _CLEAR
+    for plane in solid.planes:
+        full &= plane.height(points) > _CLEAR
     nearest, _ = depth_bounds(stack, full.reshape(volume.shape), volume)
     held = {int(given): nearest[i] > 0 for i, given in enumerate(stack.given)}
     out = list(rough)

@@ -54,8 +54,7 @@ def strip(start: Mask, wide: int, *, sure: Mask, possible: Mask, within: int | N
     """What may be decided within ``wide`` pixels of a mask's outline: outside of it is background, and so is what is
     not ``possible``; inside of it is the object where that is ``sure``, from ``within`` pixels on if that is given."""
     # The image's border is no outline: an object that is cut off there goes on.
-    inner = cv2.erode(start.astype(np.uint8), _disk(wide if within is None else within), borderValue=1) > 0
-    inner &= sure
+    inner = cv2.erode((start & sure).astype(np.uint8), _disk(wide if within is None else within), borderValue=1) > 0
     outer = (cv2.dilate(start.astype(np.uint8), _disk(wide)) > 0) & possible
     trimap = np.where(start, cv2.GC_PR_FGD, cv2.GC_PR_BGD)
     trimap = np.where(outer, trimap, cv2.GC_BGD)
@@ -68,7 +67,13 @@ def learned_cut(image: UInt8[np.ndarray, "h w 3"], trimap: Trimap, rounds: int, 
     # The clusters it starts from are drawn at random, from a generator of each thread.
     cv2.setRNGSeed(0)
     learned = Colors(background=np.zeros((1, 65)), object=np.zeros((1, 65)))
-    return _decided(image, trimap, learned, rounds, cv2.GC_INIT_WITH_MASK, margin)
+    window = window_of(trimap != cv2.GC_BGD, margin)
+    pixels, asked = image[window], trimap[window]
+    known = (asked == cv2.GC_FGD) | (asked == cv2.GC_BGD)
+    # What is to be decided would teach that it is what it was taken for.
+    column, labels = np.ascontiguousarray(pixels[known][:, None]), asked[known][:, None].copy()
+    cv2.grabCut(column, labels, (0, 0, 1, 1), learned.background, learned.object, rounds, cv2.GC_INIT_WITH_MASK)
+    return _decided(image, trimap, learned, 1, cv2.GC_EVAL_FREEZE_MODEL, margin)
 
 
 def _decided(

@@ -1,4 +1,4 @@
-"""The plane that an object stands on, among points with normals on both."""
+"""The planes that an object stands on or before, among points with normals on both: a table, the wall behind it."""
 
 from dataclasses import dataclass
 
@@ -11,8 +11,10 @@ _GUESSES, _SAMPLE = 600, 20_000
 """Planes that are tried, and points that they are tried on."""
 _THICK, _ALIGNED = 0.015, 0.8
 """A point is on the plane within this distance, in units of ``reach``, and from this cosine between the normals on."""
+_PLANES = 3
+"""That are looked for at most: a table in the corner of a room."""
 _SHARE, _BELOW = 0.08, 0.6
-"""Of the points the plane must hold at least, and what may lie below it beside what lies on it: seldom is there much to
+"""Of the points a plane must hold at least, and what may lie below it beside what lies on it: seldom is there much to
 be seen under a table."""
 _DIRECTIONS, _ALL, _OVER = 24, 0.95, 1.15
 """In so many directions around the object, the plane must go on beyond it: by this factor in this share of them."""
@@ -32,26 +34,45 @@ class Plane:
         return (points - self.point) @ self.normal
 
 
-def find_support(points: Points, normals: Points, reach: float) -> Plane | None:
-    """The plane that most of the points around the origin's neighbourhood lie on and almost none below, if what lies
-    above it stands on it: on all sides the plane goes on beyond the object.
+def find_planes(points: Points, normals: Points, reach: float) -> list[Plane]:
+    """Planes that many of the points around the origin's neighbourhood lie on and almost none below, the largest first.
 
     ``reach`` is half the side of the cube around the origin that holds the object; ``normals`` are unit, to the side
-    that is seen. None where there is no such plane: the object hangs, or what it stands on is plain, or no larger than
-    the object itself and as good as a part of it.
+    that is seen. Each plane is looked for among the points above the former ones.
     """
     near = np.abs(points).max(axis=1, initial=0.0) < reach
     if near.sum() < _DIRECTIONS:
-        return None
+        return []
     chance = np.random.default_rng(0)
     chosen = chance.permutation(np.flatnonzero(near))[:_SAMPLE]
-    plane = _best(points[chosen], normals[chosen], _THICK * reach, chance)
-    heights = plane.height(points[chosen])
-    on = (np.abs(heights) < _THICK * reach) & (normals[chosen] @ plane.normal > _ALIGNED)
-    below = (heights < -2 * _THICK * reach).sum()
-    if on.mean() < _SHARE or below > _BELOW * on.sum():
-        return None
-    return plane if _goes_on(plane, points, near, reach) else None
+    points, normals, thick = points[chosen], normals[chosen], _THICK * reach
+    planes: list[Plane] = []
+    while len(planes) < _PLANES and len(points) >= _DIRECTIONS:
+        plane = _best(points, normals, thick, chance)
+        heights = plane.height(points)
+        on = (np.abs(heights) < thick) & (normals @ plane.normal > _ALIGNED)
+        below = (heights < -2 * thick).sum()
+        if on.sum() < _SHARE * len(chosen) or below > _BELOW * on.sum():
+            break
+        planes.append(plane)
+        points, normals = points[heights > 2 * thick], normals[heights > 2 * thick]
+    return planes
+
+
+def goes_on(plane: Plane, points: Points, standing: Points, reach: float) -> bool:
+    """Whether the points on a plane reach farther than the points of what is ``standing`` on it, seen from the middle
+    of these: else it is a part of the object, which lies on a brick."""
+    above = standing[plane.height(standing) > _HIGH * _THICK * reach]
+    if len(above) < _DIRECTIONS:
+        return False
+    on = points[np.abs(plane.height(points)) < _THICK * reach]
+    across = np.linalg.svd(plane.normal[None])[2][1:]
+    turn = np.arange(_DIRECTIONS) * (2 * np.pi / _DIRECTIONS)
+    ways = across.T @ np.stack([np.cos(turn), np.sin(turn)])
+    middle = np.median(above, axis=0)
+    object_reach = np.percentile((above - middle) @ ways, _EXTREME, axis=0)
+    plane_reach = np.percentile((on - middle) @ ways, _EXTREME, axis=0)
+    return bool((plane_reach > _OVER * object_reach).mean() >= _ALL)
 
 
 def _best(points: Points, normals: Points, thick: float, chance: np.random.Generator) -> Plane:
@@ -72,18 +93,3 @@ def _best(points: Points, normals: Points, thick: float, chance: np.random.Gener
         normal = np.linalg.svd(points[on] - middle, full_matrices=False)[2][2]
         best = Plane(normal=normal * (1.0 if normal @ best.normal >= 0 else -1.0), point=middle)
     return best
-
-
-def _goes_on(plane: Plane, points: Points, near: Bool[np.ndarray, " n"], reach: float) -> bool:
-    """Whether the plane's points reach farther than those above it, seen from the middle of these."""
-    heights = plane.height(points)
-    above, on = points[near & (heights > _HIGH * _THICK * reach)], points[np.abs(heights) < _THICK * reach]
-    if len(above) < _DIRECTIONS:
-        return False
-    across = np.linalg.svd(plane.normal[None])[2][1:]
-    turn = np.arange(_DIRECTIONS) * (2 * np.pi / _DIRECTIONS)
-    ways = across.T @ np.stack([np.cos(turn), np.sin(turn)])
-    middle = np.median(above, axis=0)
-    object_reach = np.percentile((above - middle) @ ways, _EXTREME, axis=0)
-    plane_reach = np.percentile((on - middle) @ ways, _EXTREME, axis=0)
-    return bool((plane_reach > _OVER * object_reach).mean() >= _ALL)

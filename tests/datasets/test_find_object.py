@@ -8,7 +8,7 @@ import torch
 
 from sculpt_framework.errors import ConfigError
 from sculpt_framework.posed_images.find_object import FoundObject, find_object
-from sculpt_framework.posed_images.support import find_support
+from sculpt_framework.posed_images.support import find_planes, goes_on
 from sculpt_framework.types import Box, View
 from sculpt_plugins.datasets.auto.config import AutoDatasetConfig
 from tests.multi_view_stereo.exact_views import Surface, camera_at, photograph
@@ -46,6 +46,15 @@ class BallAlone(OnTable):
         return self.ball(origin, rays)
 
 
+@dataclass(frozen=True, kw_only=True)
+class BeforeWall(OnTable):
+    """In front of a wall that faces +z."""
+
+    def hit(self, origin: np.ndarray, rays: np.ndarray) -> np.ndarray:
+        way = (-0.6 - origin[2]) / np.where(rays[:, 2] == 0, 1e-12, rays[:, 2])
+        return np.minimum(super().hit(origin, rays), np.where(way > 0, way, np.inf))
+
+
 def ring(surface: Surface, *, masked: bool = False) -> list[View]:
     """Twenty-four views from all around, in two rows; the image is a bit more than the space they all see."""
     turns = np.arange(24) * 2 * np.pi / 24
@@ -77,6 +86,20 @@ def test_a_ball_is_told_from_the_table_it_stands_on():
     # A pixel along the outline is a twenty-fifth of the ball.
     assert min(scores) > 0.85
     assert np.mean(scores) > 0.92
+
+
+@pytest.mark.slow
+def test_a_ball_is_told_from_table_and_wall_by_views_from_one_side():
+    ways = [(np.sin(turn), 0.3 + 0.3 * (index % 2), np.cos(turn)) for index, turn in enumerate(np.linspace(-1, 1, 18))]
+    views = [photograph(BeforeWall(), camera_at(way, SIDE)) for way in ways]
+    truth = [photograph(BallAlone(), camera_at(way, SIDE), masked=True) for way in ways]
+    found = find_object(views, [], SEED)
+    assert isinstance(found, FoundObject), found
+    assert "the planes it stands on and before are cut away" in found.said
+    assert found.up == pytest.approx((0, 1, 0), abs=0.03)
+    scores = overlaps(found.train, truth)
+    assert min(scores) > 0.8
+    assert np.mean(scores) > 0.9
 
 
 @pytest.mark.slow
@@ -117,40 +140,65 @@ def test_masks_that_are_there_stay():
     assert "23 of 24 images have no mask" in found.said
 
 
-def _points(box_half: tuple[float, float, float], table: float) -> tuple[np.ndarray, np.ndarray]:
-    """On the upper side and the walls of a box that stands on z = -0.4, and on a square table; with normals."""
-    chance = np.random.default_rng(1)
-    spots = chance.uniform(-1, 1, (4000, 3))
+REACH = 0.6
+
+
+def _on_box(box_half: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Points on the upper side and two walls of a box that stands on z = -0.4, with normals."""
+    spots = np.random.default_rng(1).uniform(-1, 1, (4000, 3))
     x, y, z = box_half
     wall = np.stack([np.sign(spots[:2000, 0]) * x, spots[:2000, 1] * y, spots[:2000, 2] * z], axis=1)
     wall[:, 2] += z - 0.4
     top = np.stack([spots[2000:, 0] * x, spots[2000:, 1] * y, np.full(2000, 2 * z - 0.4)], axis=1)
-    flat = np.column_stack([chance.uniform(-table, table, (4000, 2)), np.full(4000, -0.4)])
-    flat = flat[(np.abs(flat[:, 0]) > x) | (np.abs(flat[:, 1]) > y)]
-    up = np.array([0.0, 0.0, 1.0])
     sides = np.stack([np.sign(spots[:2000, 0]), np.zeros(2000), np.zeros(2000)], axis=1)
-    normals = np.concatenate([sides, np.tile(up, (2000, 1)), np.tile(up, (len(flat), 1))])
-    points = np.concatenate([wall, top, flat])
-    return points + chance.normal(0, 0.002, points.shape), normals
+    return np.concatenate([wall, top]), np.concatenate([sides, np.tile([0.0, 0.0, 1.0], (2000, 1))])
 
 
-def test_the_support_is_where_it_is():
-    support = find_support(*_points((0.3, 0.2, 0.3), 0.9), reach=0.6)
-    assert support is not None
-    assert support.normal == pytest.approx([0, 0, 1], abs=0.01)
-    assert support.height(np.array([[0.0, 0.0, 0.0]])) == pytest.approx([0.4], abs=0.01)
+def _on_table(half_side: float, box_half: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Points on a square at z = -0.4 around that box."""
+    chance = np.random.default_rng(2)
+    flat = np.column_stack([chance.uniform(-half_side, half_side, (4000, 2)), np.full(4000, -0.4)])
+    flat = flat[(np.abs(flat[:, 0]) > box_half[0]) | (np.abs(flat[:, 1]) > box_half[1])]
+    return flat, np.tile([0.0, 0.0, 1.0], (len(flat), 1))
+
+
+def _joined(*parts: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    points, normals = (np.concatenate(each) for each in zip(*parts, strict=True))
+    return points + np.random.default_rng(3).normal(0, 0.002, points.shape), normals
+
+
+BLOCK = (0.3, 0.2, 0.3)
+
+
+def test_the_plane_it_stands_on_is_where_it_is():
+    points, normals = _joined(_on_box(BLOCK), _on_table(0.9, BLOCK))
+    plane = find_planes(points, normals, REACH)[0]
+    assert plane.normal == pytest.approx([0, 0, 1], abs=0.01)
+    assert plane.height(np.array([[0.0, 0.0, 0.0]])) == pytest.approx([0.4], abs=0.01)
+    assert goes_on(plane, points, _on_box(BLOCK)[0], REACH)
 
 
 def test_a_plinth_no_larger_than_the_object_is_a_part_of_it():
-    assert find_support(*_points((0.3, 0.2, 0.3), 0.31), reach=0.6) is None
+    points, normals = _joined(_on_box(BLOCK), _on_table(0.31, BLOCK))
+    for plane in find_planes(points, normals, REACH):
+        assert not goes_on(plane, points, _on_box(BLOCK)[0], REACH)
 
 
-def test_without_a_plane_there_is_no_support():
-    chance = np.random.default_rng(2)
-    ball = chance.normal(size=(5000, 3))
+def test_a_wall_behind_the_table_is_a_second_plane():
+    chance = np.random.default_rng(4)
+    wall = np.column_stack([chance.uniform(-0.9, 0.9, 3000), np.full(3000, 0.5), chance.uniform(-0.4, 0.9, 3000)])
+    table, sides = _on_table(0.5, BLOCK)
+    behind = wall, np.tile([0.0, -1.0, 0.0], (3000, 1))
+    points, normals = _joined(_on_box(BLOCK), (table * [1.8, 1, 1], sides), behind)
+    found = [plane.normal.round(1).tolist() for plane in find_planes(points, normals, REACH)]
+    assert sorted(found) == [[0, -1, 0], [0, 0, 1]]
+
+
+def test_on_a_ball_there_is_no_plane():
+    ball = np.random.default_rng(2).normal(size=(5000, 3))
     ball /= np.linalg.norm(ball, axis=1, keepdims=True)
-    assert find_support(0.5 * ball, ball, reach=0.6) is None
-    assert find_support(ball[:3], ball[:3], reach=2.0) is None
+    assert find_planes(0.5 * ball, ball, REACH) == []
+    assert find_planes(ball[:3], ball[:3], 2.0) == []
 
 
 @pytest.mark.parametrize("option", ["masks", "keep-support", "box"])

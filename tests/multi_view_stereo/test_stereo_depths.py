@@ -1,7 +1,7 @@
 """Depth maps of surfaces that are known exactly."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -59,6 +59,25 @@ def test_a_slanted_plane_is_found_to_a_fraction_of_a_pixel(of_slanted: DepthMaps
     assert np.degrees(np.arccos(np.clip(np.median(cosine), -1, 1))) < 8
     assert np.linalg.norm(of_slanted.normals[known], axis=1) == pytest.approx(np.ones(known.sum()), abs=1e-4)
     assert np.median(of_slanted.confidence[known & middle]) > 0.8
+
+
+def test_what_stands_behind_the_solid_part_has_depths_on_demand() -> None:
+    """A wall as far behind as the cameras are in front, of waves ten times as long."""
+
+    @dataclass(frozen=True, kw_only=True)
+    class Wall(Plane):
+        def hit(self, origin: np.ndarray, rays: np.ndarray) -> np.ndarray:
+            return (-4 - origin[2]) / rays[:, 2]
+
+    cameras = [camera.resized(128, 128) for camera in fan()]
+    views = [photograph(Wall(), camera, lambda points: waves(points / 3)) for camera in cameras]
+    before = find_depths(views, ball(0.6), OPTIONS)
+    maps = find_depths(views, ball(0.6), replace(OPTIONS, beyond=True))
+    assert before.known < 0.05 * maps.known
+    known = maps.depths > 0
+    assert known.sum() > 0.5 * (depth_bounds(maps.views, ball(0.6).values < 0, ball(0.6))[0] > 0).sum()
+    true = truth_of(Wall(), maps.views).depths[known]
+    assert np.median(np.abs(maps.depths[known] / true - 1)) < 0.03
 
 
 def test_what_is_unknown_has_no_confidence(of_slanted: DepthMaps) -> None:

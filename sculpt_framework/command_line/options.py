@@ -114,7 +114,9 @@ def flags(config: MethodConfig) -> tuple[str, ...]:
     """Every option there is for ``config``, in the order of the help, without the leading dashes."""
     slots = slots_of(type(config))
     chosen = tuple(f"{slot}.{option}" for slot in slots for option in _slot_flags(getattr(config, slot)))
-    groups = tuple(f"{name}.{option}" for name in _groups(config) for option in _flags_of(getattr(config, name)))
+    groups = tuple(
+        f"{name.replace('_', '-')}.{option}" for name in _groups(config) for option in _flags_of(getattr(config, name))
+    )
     general = tuple(name.replace("_", "-") for name in _general(config))
     plan = _plan_of(config)
     items = () if plan is None else ("plan", *(f"plan.{option}" for option in _flags_of(plan) if option != "mode"))

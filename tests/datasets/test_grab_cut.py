@@ -1,0 +1,52 @@
+"""Outlines decided by colours."""
+
+import cv2
+import numpy as np
+import torch
+
+from sculpt_framework.posed_images.grab_cut import cut_along, learned_cut
+from sculpt_framework.types import Camera, View
+
+HEIGHT, WIDTH = 60, 120
+OBJECT = np.zeros((HEIGHT, WIDTH), bool)
+OBJECT[20:40, 40:60] = True
+
+
+def picture() -> np.ndarray:
+    """A red square before green, of which a part beside it is blue, all a little uneven; blue, green and red."""
+    noise = np.random.default_rng(0).integers(-12, 13, (HEIGHT, WIDTH, 3))
+    behind = np.where(np.arange(WIDTH)[:, None] > 60, (200, 120, 40), (40, 140, 60))
+    return np.clip(np.where(OBJECT[..., None], (40, 40, 200), behind) + noise, 0, 255).astype(np.uint8)
+
+
+def test_what_is_to_be_decided_does_not_teach_that_it_is_the_object():
+    """Most of what may be the object is sky, of which little is known to be background: else it would be most of what
+    is learned of the object."""
+    trimap = np.full((HEIGHT, WIDTH), cv2.GC_BGD, np.uint8)
+    trimap[:, 36:118] = cv2.GC_PR_FGD
+    trimap[24:36, 44:56] = cv2.GC_FGD
+    found = learned_cut(picture(), trimap, 3)
+    assert (found & OBJECT).sum() > 0.97 * OBJECT.sum()
+    assert (found & ~OBJECT).sum() < 0.03 * OBJECT.sum()
+
+
+def test_a_speck_of_the_object_is_enough_to_learn_from():
+    trimap = np.full((HEIGHT, WIDTH), cv2.GC_BGD, np.uint8)
+    trimap[18:42, 38:62] = cv2.GC_PR_FGD
+    trimap[30, 50] = cv2.GC_FGD
+    found = learned_cut(picture(), trimap, 3)
+    assert found[30, 50]
+    assert not found[:18].any()
+
+
+def test_a_rough_outline_is_followed_to_the_edge_where_nothing_was_measured():
+    rough, sure = np.zeros((HEIGHT, WIDTH), bool), np.zeros((HEIGHT, WIDTH), bool)
+    rough[:, 38:118], sure[22:38, 42:58] = True, True
+    camera = Camera(
+        world_to_camera=torch.eye(4, dtype=torch.float64), fx=100, fy=100, cx=60, cy=30, width=WIDTH, height=HEIGHT
+    )
+    rgb = torch.from_numpy(picture()[:, :, ::-1].astype(np.float32) / 255)
+    found = cut_along(View(name="", camera=camera, rgb=rgb, alpha=None), rough, sure)
+    assert found.shape == OBJECT.shape
+    assert (found & OBJECT).sum() > 0.97 * OBJECT.sum()
+    assert (found & ~OBJECT).sum() < 0.03 * OBJECT.sum()

@@ -51,6 +51,9 @@ _OWN, _GROWN = 0.1, 2
 cells."""
 _AIMED = 0.2
 """Shares of an image's sides from its middle within which depths count: photographs are taken of the object."""
+_LESS = 0.5
+"""Of the depths on a plane, so counted, that are on the object at least. It was 0.9 and more on tables and walls, and
+0.2 on a brick that is a part of the object."""
 _BURNT_OUT = 0.98
 """Brightness of a channel from which on it says only that there was much light."""
 _KNOWN = 0.02
@@ -61,13 +64,12 @@ the first where the space is known to hold the object, of which there may be mor
 _SURE, _SHOWN = 0.6, 0.85
 """Share of the masks in which what is nearest must have been seen, and of the images that must show it: else views
 agree by chance."""
-
-
 _CUT_AWAY = {
     1: "the plane it stands on is",
     2: "the planes it stands on and before are",
     3: "three planes around it are",
 }
+"""What is said of so many planes."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -159,8 +161,8 @@ def _solid(views: Sequence[View], *, sure: bool, keep_support: bool) -> _Solid |
     shape, seen = fuse_without_outlines(volume, maps)
     planes = [] if keep_support else find_planes(points, normals, half)
     inside, own = _pieces(shape, points, aimed, planes)
-    while ends := [plane for plane in planes if not goes_on(plane, points, points[own], half)]:
-        planes.remove(ends[0])
+    while parts := [plane for plane in planes if _is_part(plane, points, aimed, own, half)]:
+        planes.remove(parts[0])
         inside, own = _pieces(shape, points, aimed, planes)
     if not own.any():
         return f"{known}, of which none are on something solid beside what it may stand on"
@@ -185,6 +187,19 @@ def _cube(seed: Box) -> Box:
     """Cubic, so that one unit of its frame is the half side of the space in which depths are found."""
     half = torch.full((3,), _AROUND * seed.scale, dtype=seed.center.dtype)
     return Box(minimum=seed.center - half, maximum=seed.center + half)
+
+
+def _is_part(
+    plane: Plane,
+    points: Float64[np.ndarray, "n 3"],
+    aimed: Float64[np.ndarray, " n"],
+    own: Bool[np.ndarray, " n"],
+    half: float,
+) -> bool:
+    """Whether a plane is a part of the object: it ends where that does, or is what the photographs are of, such as a
+    front whose balconies would be the object else."""
+    aside = aimed[own].sum() < _LESS * aimed[plane.holds(points, half)].sum()
+    return bool(aside) or not goes_on(plane, points, points[own], half)
 
 
 def _lowest(planes: Sequence[Plane], views: Sequence[View]) -> Plane | None:

@@ -21,8 +21,6 @@ _ALONG, _STRIP = 480, 0.012
 share of it."""
 _LEARNED = 3
 """Rounds in which a view's colours are learned."""
-_AGAIN = 2
-"""Rounds in which they are learned once more, from what has been decided as well."""
 Trimap = UInt8[np.ndarray, "h w"]
 Mask = Bool[np.ndarray, "h w"]
 
@@ -63,22 +61,28 @@ def strip(start: Mask, wide: int, *, sure: Mask, possible: Mask, within: int | N
     return np.where(inner, cv2.GC_FGD, trimap).astype(np.uint8)
 
 
-def learned_cut(image: UInt8[np.ndarray, "h w 3"], trimap: Trimap, rounds: int, margin: int | None = None) -> Mask:
+def learned_cut(
+    image: UInt8[np.ndarray, "h w 3"],
+    trimap: Trimap,
+    rounds: int,
+    *,
+    margin: int | None = None,
+    doubtful: Mask | None = None,
+) -> Mask:
     """What looks like the object, by colours that are learned near what is to be decided: within ``margin`` pixels of
-    it, or as many as suit its size. At first only what is sure teaches, then what was decided, too."""
+    it, or as many as suit its size. What is ``doubtful`` teaches nothing before the first of the rounds: it would teach
+    that it is what it is taken for."""
     # The clusters it starts from are drawn at random, from a generator of each thread.
     cv2.setRNGSeed(0)
     learned = Colors(background=np.zeros((1, 65)), object=np.zeros((1, 65)))
     window = window_of(trimap != cv2.GC_BGD, margin)
-    pixels, asked = image[window], trimap[window]
-    known = (asked == cv2.GC_FGD) | (asked == cv2.GC_BGD)
-    # What is to be decided would teach that it is what it was taken for.
-    column, labels = np.ascontiguousarray(pixels[known][:, None]), asked[known][:, None].copy()
-    cv2.grabCut(column, labels, (0, 0, 1, 1), learned.background, learned.object, rounds, cv2.GC_INIT_WITH_MASK)
+    teaching = np.ones_like(trimap[window], bool) if doubtful is None else ~doubtful[window]
+    column, labels = np.ascontiguousarray(image[window][teaching][:, None]), trimap[window][teaching][:, None].copy()
+    cv2.grabCut(column, labels, (0, 0, 1, 1), learned.background, learned.object, 0, cv2.GC_INIT_WITH_MASK)
     first = _decided(image, trimap, learned, 1, cv2.GC_EVAL_FREEZE_MODEL, margin)
     open_at = (trimap == cv2.GC_PR_FGD) | (trimap == cv2.GC_PR_BGD)
     guessed = np.where(open_at, np.where(first, cv2.GC_PR_FGD, cv2.GC_PR_BGD), trimap).astype(np.uint8)
-    return _decided(image, guessed, learned, _AGAIN, cv2.GC_EVAL, margin)
+    return _decided(image, guessed, learned, rounds - 1, cv2.GC_EVAL, margin)
 
 
 def _decided(
@@ -149,7 +153,7 @@ def cut_along(view: View, rough: Mask, sure: Mask) -> Bool[np.ndarray, "h2 w2"]:
     """A mask of some 480 pixels that follows edges and colours near the outline of a ``rough`` one of any size, and
     where that is not ``sure``.
 
-    Colours of object and background are learned from what surely is one or the other in this view, near the outline.
+    Colours of object and background are learned in this view, near the outline, and not from what is not sure.
     Where all is, or nothing, the rough mask is right as it is.
     """
     small = reduced(view, _ALONG)
@@ -162,7 +166,7 @@ def cut_along(view: View, rough: Mask, sure: Mask) -> Bool[np.ndarray, "h2 w2"]:
     trimap = strip(start, wide, sure=seen, possible=np.ones_like(start))
     if not (trimap == cv2.GC_FGD).any() or not (trimap == cv2.GC_BGD).any():
         return start
-    return learned_cut(small.image, trimap, _LEARNED)
+    return learned_cut(small.image, trimap, _LEARNED, doubtful=start & ~seen)
 
 
 def _disk(radius: int) -> UInt8[np.ndarray, "k k"]:

@@ -70,4 +70,4 @@ def _grown(view: View, known: Mask) -> Mask:
     around = (trimap == cv2.GC_BGD)[window_of(trimap != cv2.GC_BGD, wide)]
     if around.sum() < _LEAST_AROUND or not (trimap == cv2.GC_FGD).any():
         return known
-    return known | learned_cut(resized(view, known.shape[1], known.shape[0]).image, trimap, _ROUNDS, wide)
+    return known | learned_cut(resized(view, known.shape[1], known.shape[0]).image, trimap, _ROUNDS, margin=wide)

@@ -33,6 +33,10 @@ class Plane:
     def height(self, points: Points) -> Float64[np.ndarray, " n"]:
         return (points - self.point) @ self.normal
 
+    def holds(self, points: Points, reach: float) -> Bool[np.ndarray, " n"]:
+        """Which points are on it, where ``reach`` is half the side of the cube that holds the object."""
+        return np.abs(self.height(points)) < _THICK * reach
+
 
 def find_planes(points: Points, normals: Points, reach: float) -> list[Plane]:
     """Planes that many of the points around the origin's neighbourhood lie on and almost none below, the largest first.
@@ -65,7 +69,7 @@ def goes_on(plane: Plane, points: Points, standing: Points, reach: float) -> boo
     above = standing[plane.height(standing) > _HIGH * _THICK * reach]
     if len(above) < _DIRECTIONS:
         return False
-    on = points[np.abs(plane.height(points)) < _THICK * reach]
+    on = points[plane.holds(points, reach)]
     across = np.linalg.svd(plane.normal[None])[2][1:]
     turn = np.arange(_DIRECTIONS) * (2 * np.pi / _DIRECTIONS)
     ways = across.T @ np.stack([np.cos(turn), np.sin(turn)])

@@ -16,8 +16,8 @@ SPEAKING_LEAST = 0.02
 """Share of the object that stereo must be able to tell apart: below, depths are found in specks only."""
 UNEVEN_COLORS = 0.015
 """Share of its brightness by which a place differs between views from which on colours themselves are no measure of
-what belongs together, only how they vary around a place. Clean renders have 0.005 to 0.013, photographs 0.016 and
-more."""
+what belongs together, only how they vary around a place. Clean renders have 0.005 to 0.013, or 0.018 and more where the
+hull is far from the surface; photographs have 0.016 and more."""
 CUT = 0.5
 """Share of the masks, cut by the borders of their images, from which on carving has too little to go by."""
 FAR_APART = 26.0

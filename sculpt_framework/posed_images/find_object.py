@@ -118,14 +118,16 @@ def find_object(
     said += "; look at the masks: sculpt-data masks DIR."
     if len(train) < len(views):
         said += f" {len(views) - len(train)} images that do not show it are left out."
-    return FoundObject(train=train, test=done[len(views) :], said=said, up=_up(solid.support))
+    return FoundObject(train=train, test=done[len(views) :], said=said, up=_up(solid.planes, posed))
 
 
-def _up(support: Plane | None) -> tuple[float, float, float] | None:
-    """Of the cube's frame, whose axes are the world's."""
-    if support is None:
+def _up(planes: Sequence[Plane], views: Sequence[View]) -> tuple[float, float, float] | None:
+    """Of the plane the object stands on, in the cube's frame, whose axes are the world's. Of several it is the one that
+    faces up: photographs are seldom taken upside down."""
+    if not planes:
         return None
-    x, y, z = support.normal.tolist()
+    upwards = -np.stack([view.camera.world_to_camera[1, :3].double().numpy() for view in views]).mean(axis=0)
+    x, y, z = max(planes, key=lambda plane: float(plane.normal @ upwards)).normal.tolist()
     return (x, y, z)
 
 
@@ -139,8 +141,6 @@ class _Solid:
     """Near what some view sees."""
     planes: list[Plane]
     """What it stands on or before, which is cut away."""
-    support: Plane | None
-    """Of these, the one it stands on."""
     known: str
     """What there is of depths, in words."""
 
@@ -169,7 +169,7 @@ def _solid(views: Sequence[View], *, sure: bool, keep_support: bool) -> _Solid |
     walls = [wall for axis in range(3) for wall in (inside.take(0, axis), inside.take(-1, axis))]
     if not keep_support and sum(wall.mean() > _WALLED for wall in walls) >= (_ROOM if sure else _OPEN):
         return f"{known}, but what they show fills the space: no object ends within it"
-    return _Solid(volume=volume, inside=inside, seen=seen, planes=planes, support=_lowest(planes, views), known=known)
+    return _Solid(volume=volume, inside=inside, seen=seen, planes=planes, known=known)
 
 
 def _without_burnt_out(maps: DepthMaps, views: Sequence[View]) -> DepthMaps:
@@ -202,12 +202,6 @@ def _is_part(
     return bool(aside) or not goes_on(plane, points, points[own], half)
 
 
-def _lowest(planes: Sequence[Plane], views: Sequence[View]) -> Plane | None:
-    """Of several the one the object stands on, as photographs are seldom taken upside down."""
-    up = -np.stack([view.camera.world_to_camera[1, :3].double().numpy() for view in views]).mean(axis=0)
-    return max(planes, key=lambda plane: float(plane.normal @ up), default=None)
-
-
 def _cloud(
     maps: DepthMaps,
 ) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3"], Float64[np.ndarray, " n"]]:
@@ -232,8 +226,9 @@ def _pieces(
     """The cells of the pieces above the planes that most points lie on, by their weights ``aimed``, without bubbles;
     and which points these are, none if there are no such pieces."""
     inside, counted = shape.values < 0, np.ones(len(points), bool)
+    middles = shape.points.astype(float)
     for plane in planes:
-        inside &= (plane.height(shape.points.astype(float)) > _CLEAR).reshape(shape.shape)
+        inside &= (plane.height(middles) > _CLEAR).reshape(shape.shape)
         counted &= plane.height(points) > 2 * _CLEAR
     labels = np.zeros(inside.shape, np.int32)
     ndimage.label(inside, output=labels)
@@ -244,7 +239,7 @@ def _pieces(
     held[counted] = near[tuple(cells[counted].T)]
     counts = np.bincount(held, aimed, minlength=int(labels.max()) + 1)
     counts[0] = 0
-    own = counts >= max(_OWN * counts.max(), 1e-9)
+    own = (counts > 0) & (counts >= _OWN * counts.max())
     return np.asarray(ndimage.binary_fill_holes(own[labels]), dtype=bool), own[held]
 
 

@@ -43,8 +43,7 @@ class SmallView:
 
 
 def cut(image: UInt8[np.ndarray, "h w 3"], trimap: Trimap, colors: Colors) -> Mask:
-    open_at = (trimap == cv2.GC_PR_FGD) | (trimap == cv2.GC_PR_BGD)
-    if not open_at.any():
+    if not _open(trimap).any():
         return trimap == cv2.GC_FGD
     known = Colors(background=colors.background.copy(), object=colors.object.copy())
     return without_specks(_decided(image, trimap, known, 1, cv2.GC_EVAL_FREEZE_MODEL))
@@ -80,9 +79,13 @@ def learned_cut(
     column, labels = np.ascontiguousarray(image[window][teaching][:, None]), trimap[window][teaching][:, None].copy()
     cv2.grabCut(column, labels, (0, 0, 1, 1), learned.background, learned.object, 0, cv2.GC_INIT_WITH_MASK)
     first = _decided(image, trimap, learned, 1, cv2.GC_EVAL_FREEZE_MODEL, margin)
-    open_at = (trimap == cv2.GC_PR_FGD) | (trimap == cv2.GC_PR_BGD)
-    guessed = np.where(open_at, np.where(first, cv2.GC_PR_FGD, cv2.GC_PR_BGD), trimap).astype(np.uint8)
+    guessed = np.where(_open(trimap), np.where(first, cv2.GC_PR_FGD, cv2.GC_PR_BGD), trimap).astype(np.uint8)
     return _decided(image, guessed, learned, rounds - 1, cv2.GC_EVAL, margin)
+
+
+def _open(trimap: Trimap) -> Mask:
+    """What is to be decided."""
+    return (trimap == cv2.GC_PR_FGD) | (trimap == cv2.GC_PR_BGD)
 
 
 def _decided(

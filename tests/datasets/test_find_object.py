@@ -180,8 +180,9 @@ def test_the_plane_it_stands_on_is_where_it_is():
 
 def test_a_plinth_no_larger_than_the_object_is_a_part_of_it():
     points, normals = _joined(_on_box(BLOCK), _on_table(0.31, BLOCK))
-    for plane in find_planes(points, normals, REACH):
-        assert not goes_on(plane, points, _on_box(BLOCK)[0], REACH)
+    planes = find_planes(points, normals, REACH)
+    assert len(planes) == 1
+    assert not goes_on(planes[0], points, _on_box(BLOCK)[0], REACH)
 
 
 def test_a_wall_behind_the_table_is_a_second_plane():

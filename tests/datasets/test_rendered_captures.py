@@ -33,19 +33,27 @@ def _inside(pixels: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("kind", "count"),
-    [("lab", 49), ("phone", 42), ("turntable", 60), ("museum", 46), ("flipped", 84), ("forest", 23), ("shelf", 40)],
+    ("kind", "count"), [("lab", 49), ("phone", 42), ("turntable", 60), ("museum", 46), ("flipped", 84)]
 )
-def test_every_view_shows_the_object_and_lab_and_forest_cut_it(kind: str, count: int):
+def test_every_view_shows_the_object_and_only_the_lab_cuts_it(kind: str, count: int):
     rig = KINDS[kind].rig()
     assert len(rig.shots) == count
     seen = [_inside(rigs.projected(0.8 * BALL, shot.pose, rig.focal)).mean() for shot in rig.shots]
-    if kind in ("lab", "forest"):
-        assert np.median(seen) < 1
+    if kind == "lab":
+        assert max(seen) < 1
         assert min(seen) > 0.3
     else:
-        # By hand, some of the space around the object is lost.
-        assert min(seen) > (0.8 if kind == "shelf" else 0.9999)
+        assert min(seen) == 1
+
+
+@pytest.mark.parametrize(("kind", "count", "least"), [("forest", 23, 0.3), ("shelf", 40, 0.8)])
+def test_views_by_hand_from_one_side_lose_some_of_what_is_around(kind: str, count: int, least: float):
+    rig = KINDS[kind].rig()
+    assert len(rig.shots) == count
+    places = np.stack([shot.pose[:3, 3] for shot in rig.shots])
+    assert places[:, 1].max() < 0
+    seen = [_inside(rigs.projected(0.8 * BALL, shot.pose, rig.focal)).mean() for shot in rig.shots]
+    assert least < min(seen) < 1
 
 
 def test_truth_is_one_surface_in_the_unit_ball_without_crumbs():

@@ -62,7 +62,7 @@ def test_a_slanted_plane_is_found_to_a_fraction_of_a_pixel(of_slanted: DepthMaps
 
 
 def test_what_stands_behind_the_solid_part_has_depths_on_demand() -> None:
-    """A wall as far behind as the cameras are in front, of waves ten times as long."""
+    """A wall as far behind as the cameras are in front, of waves three times as long."""
 
     @dataclass(frozen=True, kw_only=True)
     class Wall(Plane):

@@ -63,7 +63,7 @@ def find_planes(points: Points, normals: Points, reach: float) -> list[Plane]:
     return planes
 
 
-def goes_on(plane: Plane, points: Points, standing: Points, reach: float) -> bool:
+def goes_on(plane: Plane, points: Points, standing: Float64[np.ndarray, "m 3"], reach: float) -> bool:
     """Whether the points on a plane reach farther than the points of what is ``standing`` on it, seen from the middle
     of these: else it is a part of the object, which lies on a brick."""
     above = standing[plane.height(standing) > _HIGH * _THICK * reach]

@@ -29,6 +29,12 @@ CELL_PIXELS_MOST, CELL_PIXELS_AIM = 4.0, 2.0
 """Images in which a cell is wider than the first are reduced until it is as wide as the second."""
 THIN_CELLS = 3.0
 """Cells that the thinnest part must keep across when the finest level is left out."""
+THIN_HELD, THIN_LEAST = 2.0, 1.25
+"""Cells that a thin part must have across to be held safely, and to be held at all."""
+FINER_MOST = 1.375
+"""Times that cells are made narrower at most for a thin part: faces and seconds grow with the square."""
+FINER_SECONDS = 300.0
+"""A run that must end earlier has no time for them."""
 UNEVEN = 2.0
 """Ratio of pixel widths on the object from which larger cells, where the images show less, are worth their trouble."""
 GLOSS_LEAST, GLOSS_MUCH = 0.05, 0.1
@@ -99,7 +105,8 @@ def level(config: SculptingConfig, evidence: Evidence) -> Ruling:
             break
         drop += 1
     if drop == 0:
-        return Ruling(config=config, value=f"level {finest}", evidence=why, measured=measured)
+        kept = Ruling(config=config, value=f"level {finest}", evidence=why, measured=measured)
+        return _as_fine_as_thin(config, evidence.thinnest, kept)
     stages = tuple(replace(stage, level=min(stage.level, finest - drop)) for stage in config.trainer.stages)
     share = 100 * (1 - 0.25**drop)
     return Ruling(
@@ -110,6 +117,30 @@ def level(config: SculptingConfig, evidence: Evidence) -> Ruling:
         saves=f"about {share:.0f} % of cells, faces and Gaussians",
         spared={"share of faces": 0.01 * share},
     )
+
+
+def _as_fine_as_thin(config: SculptingConfig, thinnest: int | None, kept: Ruling) -> Ruling:
+    """``kept``, or narrower cells where they hold a part that these do not."""
+    pixels = kept.measured["cell_pixels"]
+    if thinnest is None or thinnest >= THIN_HELD * pixels:
+        return kept
+    measured = {**kept.measured, "thinnest": float(thinnest)}
+    why = f"{kept.evidence}; a part is about {thinnest} pixels thin"
+    finer = min(FINER_MOST, THIN_HELD * pixels / thinnest, pixels / CELL_PIXELS_LEAST)
+    if finer <= 1 or finer * thinnest < THIN_LEAST * pixels:
+        why += ", which no cells affordable hold"
+    elif config.max_time is not None and config.max_time < FINER_SECONDS:
+        why += f", for which {config.max_time:g} s are too short"
+    else:
+        trainer = config.trainer
+        return replace(
+            kept,
+            config=with_options(config, "trainer", base_cells=round(finer * trainer.base_cells)),
+            value=f"cells {finer:.2g} times narrower",
+            evidence=why,
+            measured=measured,
+        )
+    return replace(kept, evidence=why, measured=measured)
 
 
 def images(config: SculptingConfig, evidence: Evidence) -> Ruling:
@@ -302,10 +333,11 @@ def _inner_binds(config: SculptingConfig) -> float:
 STAGES = "trainer.stages"
 RULES: Sequence[Rule] = (
     Rule(item="silhouette", touches=("losses", "initializer"), decide=silhouette),
+    # Before the start is chosen, which is as fine as the cells.
+    Rule(item="level", touches=(STAGES, "trainer.base_cells"), decide=level),
     Rule(item="stereo", touches=("initializer",), decide=stereo),
     Rule(item="light", touches=("losses", STAGES, "trainer.warm_up_steps"), decide=light),
     Rule(item="views", touches=("skip_views",), decide=views),
-    Rule(item="level", touches=(STAGES, "trainer.base_cells"), decide=level),
     Rule(item="images", touches=(STAGES,), decide=images),
     Rule(item="refinement", touches=("trainer.cell_pixels", "refine_box"), decide=refinement),
     Rule(

@@ -19,7 +19,7 @@ from sculpt_framework.shape_from_images.field_fit import fit_field
 from sculpt_framework.shape_from_images.volume import sample
 from sculpt_framework.types import Box, Surface, View
 
-_CELLS_AT_LEAST, _CELLS_AT_MOST = 64, 128
+_CELLS_AT_LEAST, _CELLS_AT_MOST = 64, 256
 """Along the longest side of the box, in which a start is tabulated; in between, as many as the finest stage has."""
 _BLOCK = 2
 """Cells along a side of the blocks that are looked at first: a start may be half as steep again as a distance."""

@@ -61,11 +61,11 @@ def missing(
 
     def open_part(view: int) -> Bool[np.ndarray, "h w"]:
         inside = views.inside[view]
-        nearest, farthest = np.zeros(inside.shape, np.float32), np.zeros(inside.shape, np.float32)
-        ray_kernels.bound_depths(
-            inside, views.poses[view], views.lenses[view], views.positions[view], full, origin, cell, nearest, farthest
+        covered = np.zeros(inside.shape, bool)
+        ray_kernels.mark_met(
+            inside, views.poses[view], views.lenses[view], views.positions[view], full, origin, cell, covered
         )
-        return _open_part(inside, nearest > 0)
+        return _open_part(inside, covered)
 
     open_parts = np.array(in_threads(open_part, range(len(views.inside))), bool).reshape(views.inside.shape)
     asked = np.flatnonzero((solid.values < 0) & ~full)

@@ -24,12 +24,30 @@ def _span(pose, lens, position, row, column, origin, size, way):
 
 
 @njit(forceinline=True, **_OPTIONS)
-def _cell_at(position, way, depth, origin, cell):
-    return (
-        np.int32((position[0] + depth * way[0] - origin[0]) / cell),
-        np.int32((position[1] + depth * way[1] - origin[1]) / cell),
-        np.int32((position[2] + depth * way[2] - origin[2]) / cell),
-    )
+def _is_in(solid, position, way, depth, origin, cell):
+    """Whether what a ray has come to at some depth is ``solid``."""
+    i = np.int32((position[0] + depth * way[0] - origin[0]) / cell)
+    j = np.int32((position[1] + depth * way[1] - origin[1]) / cell)
+    k = np.int32((position[2] + depth * way[2] - origin[2]) / cell)
+    return 0 <= i < solid.shape[0] and 0 <= j < solid.shape[1] and 0 <= k < solid.shape[2] and solid[i, j, k]
+
+
+@njit(**_OPTIONS)
+def mark_met(inside, pose, lens, position, solid, origin, cell, met):
+    """Fill ``met`` [h, w] with whether a pixel is inside and its ray meets what is ``solid``."""
+    size = np.array(solid.shape, np.float32) * cell
+    step = _HALF * cell
+    way = np.empty(3, np.float32)
+    for row in range(met.shape[0]):
+        for column in range(met.shape[1]):
+            met[row, column] = False
+            if not inside[row, column]:
+                continue
+            first, last = _span(pose, lens, position, row, column, origin, size, way)
+            depth = first + _HALF * step
+            while depth < last and not _is_in(solid, position, way, depth, origin, cell):
+                depth += step
+            met[row, column] = depth < last
 
 
 @njit(**_OPTIONS)
@@ -48,8 +66,7 @@ def bound_depths(inside, pose, lens, position, solid, origin, cell, nearest, far
             first, last = _span(pose, lens, position, row, column, origin, size, way)
             depth = first + _HALF * step
             while depth < last:
-                i, j, k = _cell_at(position, way, depth, origin, cell)
-                if 0 <= i < solid.shape[0] and 0 <= j < solid.shape[1] and 0 <= k < solid.shape[2] and solid[i, j, k]:
+                if _is_in(solid, position, way, depth, origin, cell):
                     if not farthest[row, column] > 0:
                         nearest[row, column] = max(depth - cell, _NEAR)
                     farthest[row, column] = depth + cell

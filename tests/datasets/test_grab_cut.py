@@ -43,7 +43,13 @@ def test_a_rough_outline_is_followed_to_the_edge_where_nothing_was_measured():
     rough, sure = np.zeros((HEIGHT, WIDTH), bool), np.zeros((HEIGHT, WIDTH), bool)
     rough[:, 38:118], sure[22:38, 42:58] = True, True
     camera = Camera(
-        world_to_camera=torch.eye(4, dtype=torch.float64), fx=100.0, fy=100.0, cx=60.0, cy=30.0, width=WIDTH, height=HEIGHT
+        world_to_camera=torch.eye(4, dtype=torch.float64),
+        fx=100.0,
+        fy=100.0,
+        cx=60.0,
+        cy=30.0,
+        width=WIDTH,
+        height=HEIGHT,
     )
     rgb = torch.from_numpy(picture()[:, :, ::-1].astype(np.float32) / 255)
     found = cut_along(View(name="", camera=camera, rgb=rgb, alpha=None), rough, sure)

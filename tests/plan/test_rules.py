@@ -172,6 +172,28 @@ def test_a_thin_part_keeps_its_level() -> None:
     assert decided(replace(coarse, thinnest=12))[0].trainer.stages[0].level == 1
 
 
+@pytest.mark.parametrize(("thinnest", "finer"), [(12, 1.0), (10, 1.2), (6, 1.375), (3, 1.0)])
+def test_cells_narrow_for_a_part_that_they_come_to_hold(thinnest: int, finer: float) -> None:
+    wide = replace(USUAL, pixel=0.0026, pixel_best=0.0026, pixel_worst=0.0026, thinnest=thinnest)
+    config, changed = decided(wide)
+    assert config.trainer.base_cells == pytest.approx(finer * method().trainer.base_cells, abs=0.5)
+    assert ("level" in changed) == (finer > 1)
+
+
+def test_the_start_holds_the_thin_part_too() -> None:
+    lit = Gloss(strength=0.01, points=800, unevenness=1.01 * UNEVEN_COLORS)
+    wide = replace(USUAL, pixel=0.0026, pixel_best=0.0026, pixel_worst=0.0026, thinnest=6, gloss=lit)
+    config, _ = decided(wide)
+    assert option_of(config.initializer, "cells") == config.trainer.base_cells << config.trainer.stages[-1].level
+
+
+@pytest.mark.parametrize(("seconds", "narrow"), [(299.0, False), (600.0, True)])
+def test_cells_do_not_narrow_where_the_time_is_short(seconds: float, narrow: bool) -> None:
+    wide = replace(USUAL, pixel=0.0026, pixel_best=0.0026, pixel_worst=0.0026, thinnest=6)
+    config, _ = decided(wide, replace(method(), max_time=seconds))
+    assert (config.trainer.base_cells > method().trainer.base_cells) == narrow
+
+
 def test_large_images_are_reduced_unless_their_texture_would_go() -> None:
     fine = replace(USUAL, pixel=0.003, pixel_best=0.003, pixel_worst=0.003)
     soft = replace(fine, contrast=(0.005, 0.015, 0.03, 0.06))

@@ -120,7 +120,7 @@ class PlanConfig:
     views: Switch | None = None
     """Views that see nothing or repeat another one."""
     level: Switch | None = None
-    """The finest grid level, by the width of a pixel on the surface."""
+    """The width of cells, by that of a pixel on the surface and of the thinnest part."""
     images: Switch | None = None
     """The size of the images, by the width of a cell in them."""
     refinement: Switch | None = None

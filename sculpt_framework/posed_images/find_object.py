@@ -58,6 +58,9 @@ _BURNT_OUT = 0.98
 """Brightness of a channel from which on it says only that there was much light."""
 _KNOWN = 0.02
 """Share of the pixels that must have a depth."""
+_MEANT = 0.05
+"""Of all depths, by their nearness to the middles of the images, those on the object at least: photographs are taken of
+it. Views that agree by chance come to 0.025."""
 _WALLED, _ROOM, _OPEN = 0.1, 5, 3
 """What takes up more than this share of so many of the six walls of the space is a room, or a table, not an object:
 the first where the space is known to hold the object, of which there may be more beyond it, the second elsewhere."""
@@ -166,6 +169,9 @@ def _solid(views: Sequence[View], *, sure: bool, keep_support: bool) -> _Solid |
         inside, own = _pieces(shape, points, aimed, planes)
     if not own.any():
         return f"{known}, of which none are on something solid beside what it may stand on"
+    meant = float(aimed[own].sum() / aimed.sum())
+    if meant < _MEANT:
+        return f"{known}, but only {100 * meant:.1f} % of them are on something solid: views agree by chance"
     walls = [wall for axis in range(3) for wall in (inside.take(0, axis), inside.take(-1, axis))]
     if not keep_support and sum(wall.mean() > _WALLED for wall in walls) >= (_ROOM if sure else _OPEN):
         return f"{known}, but what they show fills the space: no object ends within it"

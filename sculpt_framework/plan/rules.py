@@ -128,14 +128,13 @@ def _as_fine_as_thin(config: SculptingConfig, thinnest: int | None, kept: Ruling
     why = f"{kept.evidence}; a part is about {thinnest} pixels thin"
     finer = min(FINER_MOST, THIN_HELD * pixels / thinnest, pixels / CELL_PIXELS_LEAST)
     if finer <= 1 or finer * thinnest < THIN_LEAST * pixels:
-        why += ", which no cells affordable hold"
+        why += ", too thin for cells that can be afforded"
     elif config.max_time is not None and config.max_time < FINER_SECONDS:
         why += f", for which {config.max_time:g} s are too short"
     else:
-        trainer = config.trainer
         return replace(
             kept,
-            config=with_options(config, "trainer", base_cells=round(finer * trainer.base_cells)),
+            config=with_options(config, "trainer", base_cells=round(finer * config.trainer.base_cells)),
             value=f"cells {finer:.2g} times narrower",
             evidence=why,
             measured=measured,

@@ -167,11 +167,9 @@ def _solid(views: Sequence[View], *, sure: bool, keep_support: bool) -> _Solid |
     while parts := [plane for plane in planes if _is_part(plane, points, aimed, own, half)]:
         planes.remove(parts[0])
         inside, own = _pieces(shape, points, aimed, planes)
-    if not own.any():
-        return f"{known}, of which none are on something solid beside what it may stand on"
     meant = float(aimed[own].sum() / aimed.sum())
     if meant < _MEANT:
-        return f"{known}, but only {100 * meant:.1f} % of them are on something solid: views agree by chance"
+        return f"{known}, of which only {100 * meant:.1f} % are on something solid beside what it may stand on"
     walls = [wall for axis in range(3) for wall in (inside.take(0, axis), inside.take(-1, axis))]
     if not keep_support and sum(wall.mean() > _WALLED for wall in walls) >= (_ROOM if sure else _OPEN):
         return f"{known}, but what they show fills the space: no object ends within it"

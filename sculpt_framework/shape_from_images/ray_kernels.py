@@ -32,6 +32,14 @@ def _is_in(solid, position, way, depth, origin, cell):
     return 0 <= i < solid.shape[0] and 0 <= j < solid.shape[1] and 0 <= k < solid.shape[2] and solid[i, j, k]
 
 
+@njit(forceinline=True, **_OPTIONS)
+def _enters(solid, position, way, depth, last, step, origin, cell):
+    """The first depth, from ``depth`` on, at which a ray is in what is ``solid``; ``last`` or more if none is."""
+    while depth < last and not _is_in(solid, position, way, depth, origin, cell):
+        depth += step
+    return depth
+
+
 @njit(**_OPTIONS)
 def mark_met(inside, pose, lens, position, solid, origin, cell, met):
     """Fill ``met`` [h, w] with whether a pixel is inside and its ray meets what is ``solid``."""
@@ -44,10 +52,7 @@ def mark_met(inside, pose, lens, position, solid, origin, cell, met):
             if not inside[row, column]:
                 continue
             first, last = _span(pose, lens, position, row, column, origin, size, way)
-            depth = first + _HALF * step
-            while depth < last and not _is_in(solid, position, way, depth, origin, cell):
-                depth += step
-            met[row, column] = depth < last
+            met[row, column] = _enters(solid, position, way, first + _HALF * step, last, step, origin, cell) < last
 
 
 @njit(**_OPTIONS)
@@ -64,11 +69,11 @@ def bound_depths(inside, pose, lens, position, solid, origin, cell, nearest, far
             if not inside[row, column]:
                 continue
             first, last = _span(pose, lens, position, row, column, origin, size, way)
-            depth = first + _HALF * step
+            depth = _enters(solid, position, way, first + _HALF * step, last, step, origin, cell)
+            if depth < last:
+                nearest[row, column] = max(depth - cell, _NEAR)
             while depth < last:
                 if _is_in(solid, position, way, depth, origin, cell):
-                    if not farthest[row, column] > 0:
-                        nearest[row, column] = max(depth - cell, _NEAR)
                     farthest[row, column] = depth + cell
                 depth += step
 

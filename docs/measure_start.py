@@ -57,7 +57,7 @@ def main() -> None:
     whole = timed(initial_fit.fit_to_views, rows["all"])
     for _ in range(chosen.repeats + 1):
         torch.manual_seed(0)
-        field, generator = config.field.build(device), torch.Generator().manual_seed(0)
+        field, generator = config.field.build(config.trainer.finest_cells, device), torch.Generator().manual_seed(0)
         whole(
             field,
             config.initializer.build(),

@@ -151,7 +151,7 @@ def measure(data: str, kind: str, options: Sequence[str]) -> Measured:
     assert trainer.extraction is not None  # noqa: S101
     return Measured(
         milliseconds=1e3 * statistics.median(end - begin for begin, end in itertools.pairwise(ends)),
-        cells=config.trainer.base_cells << max(stage.level for stage in config.trainer.stages),
+        cells=config.trainer.finest_cells,
         corners=corners or len(trainer.extraction.corner_sdf),
         faces=len(trainer.extraction.surface.faces),
         chamfer=[event for event in events if event.event == "evaluation"][-1].data.get("chamfer_ps"),

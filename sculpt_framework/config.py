@@ -47,7 +47,8 @@ class ComponentConfig:
 @dataclass(frozen=True, kw_only=True)
 class FieldConfig(ComponentConfig, ABC):
     @abstractmethod
-    def build(self, device: "torch.device") -> "Field": ...
+    def build(self, cells: int, device: "torch.device") -> "Field":
+        """``cells``: across [-1, 1], of the finest grid that the run samples the field on."""
 
 
 @dataclass(frozen=True, kw_only=True)

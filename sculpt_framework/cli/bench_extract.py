@@ -157,7 +157,7 @@ def _measure(way: Way, resolution: int, request: ExtractRequest) -> ExtractRow:
     config = registry.default("field", "hash-grid")
     assert isinstance(config, FieldConfig)  # noqa: S101 - what the registry promises for the slot
     torch.manual_seed(0)
-    field = config.build(device)
+    field = config.build(resolution, device)
     extractor = _extractor(way, resolution, device)
     field.set_detail(2.0 / resolution)
     # Rates so small that the surface stays where it is.

@@ -28,11 +28,11 @@ PRIMES = (1, 2654435761, 805459861)
 class HashEncoding(nn.Module):
     """Trilinear features of points in [-1, 1]^3 on several grids; points outside are taken at the nearest wall.
 
-    Grid sizes grow geometrically from ``base_resolution`` to ``finest_resolution`` cells across. A grid whose corners
-    fit a table of 2^log2_table entries is stored corner by corner, without collisions. Tables start uniformly random
-    within ``init_scale`` of zero. Each level is a parameter of its own: an inactive one gets no gradient, so that an
-    optimiser spends nothing on it either. With ``sum_levels`` the levels' features are added up, else they are written
-    side by side.
+    Grid sizes grow geometrically from ``base_resolution`` to ``finest_resolution`` cells across, and are rounded. A
+    grid whose corners fit a table of 2^log2_table entries is stored corner by corner, without collisions. Tables start
+    uniformly random within ``init_scale`` of zero. Each level is a parameter of its own: an inactive one gets no
+    gradient, so that an optimiser spends nothing on it either. With ``sum_levels`` the levels' features are added up,
+    else they are written side by side.
     """
 
     def __init__(
@@ -41,7 +41,7 @@ class HashEncoding(nn.Module):
         levels: int,
         features_per_level: int,
         log2_table: int,
-        base_resolution: int,
+        base_resolution: float,
         finest_resolution: int,
         init_scale: float,
         sum_levels: bool = False,

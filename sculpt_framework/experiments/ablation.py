@@ -133,7 +133,7 @@ def _constraints(config: SculptingConfig) -> list[Level]:
 def _field(config: SculptingConfig) -> list[Level]:
     """The method's own field, the paper's MLP, and one number per corner of the finest extraction grid."""
     own = registry.name_of(config.field)
-    cells = max(config.trainer.base_cells << stage.level for stage in config.trainer.stages)
+    cells = config.trainer.finest_cells
     rows = {
         own: (),
         "mlp": ("--field", "mlp"),

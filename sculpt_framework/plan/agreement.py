@@ -82,7 +82,7 @@ def _start(name: str, config: SculptingConfig) -> InitializerConfig:
     if has_option(start, "max_views") and views is not None:
         options["max_views"] = views
     cells, pixels = option_of(start, "cells"), option_of(start, "pixels")
-    finest = config.trainer.base_cells << max(stage.level for stage in config.trainer.stages)
+    finest = config.trainer.finest_cells
     if cells and pixels and finest > cells:
         options |= {"cells": finest, "pixels": round(pixels * finest / cells)}
     return replace(start, **options)

@@ -96,7 +96,7 @@ def level(config: SculptingConfig, evidence: Evidence) -> Ruling:
     pixels = cell_pixels(config, evidence)
     measured = {"cell_pixels": pixels}
     why = f"the smallest cells are {pixels:.2f} pixels wide in the views that show most"
-    finest, drop = max(stage.level for stage in config.trainer.stages), 0
+    finest, drop = config.trainer.finest_level, 0
     while drop < finest and pixels * 2**drop < CELL_PIXELS_LEAST:
         wide = pixels * 2 ** (drop + 1)
         if evidence.thinnest is not None and evidence.thinnest < THIN_CELLS * wide:
@@ -319,7 +319,7 @@ def polish(config: SculptingConfig, evidence: Evidence) -> Ruling:
 def cell_pixels(config: SculptingConfig, evidence: Evidence) -> float:
     """Width of the smallest cells in the images of the last stage, in pixels of the views that show most."""
     last = max(config.trainer.stages, key=lambda stage: stage.level)
-    cell = 2.0 / (config.trainer.base_cells << last.level)
+    cell = 2.0 / config.trainer.finest_cells
     return cell / (evidence.pixel_best / last.image_scale)
 
 

@@ -55,7 +55,7 @@ def build_parts(
     # The caller's own random numbers go on as if there had been no run.
     with torch.random.fork_rng([device] if device.type == "cuda" else []):
         torch.manual_seed(config.seed)
-        field = config.field.build(device)
+        field = config.field.build(trainer.finest_cells, device)
         scene = GaussianScene(config.binder.build(), config.appearance.build(device))
     return Parts(
         device=device,
@@ -90,7 +90,7 @@ def build_extractor(config: SculptingConfig, box: Box, grid: Grid, device: torch
         raise ConfigError(f"{option}: extractor {name!r} has cells of one size only; choose another")
     boxes = refine_boxes(config, box)
     try:
-        wanted_levels(grid.at_level(max(stage.level for stage in stages)), boxes)
+        wanted_levels(grid.at_level(config.trainer.finest_level), boxes)
     except ValueError as error:
         raise ConfigError(f"--refine-box-levels {config.refine_box_levels} is too many here: {error}") from error
     extractor.cells.set_boxes(boxes)

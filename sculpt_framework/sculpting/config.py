@@ -97,6 +97,16 @@ class TrainerConfig:
     rest_after: Annotated[int, at_least(0)] = 0
     """Evaluations without effect after which a term of an objective rests, tried again every so many; 0: never."""
 
+    @property
+    def finest_level(self) -> int:
+        """Of the stages' grids."""
+        return max(stage.level for stage in self.stages)
+
+    @property
+    def finest_cells(self) -> int:
+        """Cells along the longest side of the object's box, on that level."""
+        return self.base_cells << self.finest_level
+
 
 Switch = Literal["on", "off"]
 

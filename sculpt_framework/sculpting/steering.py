@@ -24,7 +24,7 @@ class Wishes:
         self._weights: dict[tuple[str, str], float] = {}
         self._off: set[str] = set()
         self._configured_boxes = refine_boxes(config, box)
-        self._finest = max(stage.level for stage in config.trainer.stages)
+        self._finest = config.trainer.finest_level
         self._boxes: list[RefineBox] = []
 
     def obey(self, command: Command, step: int, folder: Path) -> str:

@@ -26,7 +26,7 @@ from sculpt_framework.types import Surface
 GRADIENT_LIMIT = 1e-4
 """Of float32 against float64, on inputs that are not degenerate."""
 _CPU = torch.device("cpu")
-_PIXELS = 32
+_PIXELS, _CELLS = 32, 14
 _SMALL_FIELDS: Mapping[str, Mapping[str, object]] = {
     "hash-grid": {"num_levels": 4, "log2_table": 13, "finest_resolution": 32},
     "dense-grid": {"resolution": 24},
@@ -79,13 +79,13 @@ def walk(method: SculptingConfig, field: str, dtype: torch.dtype, degenerate: st
     kind = registry.default("field", field)
     assert isinstance(kind, FieldConfig)  # noqa: S101 - what the registry promises for the slot
     torch.manual_seed(0)
-    made = replace(kind, **_SMALL_FIELDS[field]).build(_CPU)
+    made = replace(kind, **_SMALL_FIELDS[field]).build(_CELLS, _CPU)
     generator = torch.Generator().manual_seed(1)
     with torch.no_grad():
         for parameter in made.parameters():
             parameter.add_(3e-3 * torch.randn(parameter.shape, generator=generator))
     made = made.to(dtype)
-    grid = grid_over_box(torch.ones(3), cells=14, level=0)
+    grid = grid_over_box(torch.ones(3), cells=_CELLS, level=0)
     made.set_detail(grid.cell)
     with default_type(dtype):
         return _walk(method, made, grid, dtype, degenerate)

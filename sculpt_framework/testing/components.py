@@ -32,8 +32,8 @@ def check_field(config: FieldConfig, device: torch.device | None = None) -> None
     """Check the contract of slot ``field``: finite, differentiable, and a ball as built."""
     device = device or torch.device("cpu")
     torch.manual_seed(0)
-    field = config.build(device)
-    field.set_detail(0.05)
+    field = config.build(40, device)
+    field.set_detail(2.0 / 40)
     far = torch.tensor([[0.0, 0.0, 0.0], [1.0, -1.0, 1.0], [1e3, 0.0, 0.0], [-1e6, 1e6, 1e6]], device=device)
     sdf = field(far)
     require(sdf.shape == (4,), f"sdf of 4 points has shape {tuple(sdf.shape)}")

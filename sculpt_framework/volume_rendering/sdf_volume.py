@@ -30,7 +30,7 @@ class SdfVolume(Volume):
         super().__init__()
         self._weights, self._field_rate = shape.weights, shape.field_rate
         self._spacing = 2.0 / shape.mesh_cells
-        self.field = shape.field.build(torch.device("cpu"))
+        self.field = shape.field.build(shape.mesh_cells, torch.device("cpu"))
         self.field.set_detail(self._spacing)
         self._radiance = RadianceField(shape.radiance)
 

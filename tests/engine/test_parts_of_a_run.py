@@ -104,7 +104,7 @@ def test_pixel_footprint_is_a_length_at_the_object(scene: Scene):
 def test_every_field_learns_another_start(name: str):
     torch.manual_seed(0)
     volume = sample(sphere_sdf(0.4, (0.15, -0.1, 0.1)), (1.0, 1.0, 1.0), 24, CPU)
-    field = FIELDS[name].build(CPU)
+    field = FIELDS[name].build(24, CPU)
     field.set_detail(volume.cell)
     generator = torch.Generator().manual_seed(0)
     error = fit_field(field, volume, steps=120, generator=generator, device=CPU)

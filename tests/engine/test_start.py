@@ -33,7 +33,7 @@ def rippled_ball(points: Tensor) -> Tensor:
 def test_the_fit_keeps_what_the_volume_shows():
     torch.manual_seed(0)
     volume = sample(rippled_ball, (1.0, 1.0, 1.0), CELLS, CPU)
-    field = replace(FIELDS["hash-grid"], finest_resolution=CELLS, log2_table=15).build(CPU)
+    field = replace(FIELDS["hash-grid"], finest_resolution=CELLS, log2_table=15).build(CELLS, CPU)
     field.set_detail(volume.cell)
     error = fit_field(field, volume, steps=200, generator=torch.Generator().manual_seed(0), device=CPU)
     assert error < 0.05 * volume.cell

@@ -21,7 +21,7 @@ class DenseGridFieldConfig(FieldConfig):
     rate: Annotated[float, at_least(0)] = 1e-3
     """Learning rate before the schedule, in object units per step."""
 
-    def build(self, device: "torch.device") -> "DenseGridField":
+    def build(self, cells: int, device: "torch.device") -> "DenseGridField":
         from sculpt_plugins.fields.dense_grid.field import DenseGridField
 
         return DenseGridField(self).to(device)

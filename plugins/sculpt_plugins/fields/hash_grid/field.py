@@ -21,20 +21,26 @@ class HashGridField(Field):
     a multigrid preconditioner, and the reason why the fine levels do not get noisy before the coarse ones have settled.
     """
 
-    def __init__(self, config: HashGridFieldConfig):
+    def __init__(self, config: HashGridFieldConfig, cells: int):
         super().__init__()
         self._config = config
+        finest = config.finest_resolution or 2 * cells
+        coarsest = min(config.base_resolution, finest)
+        levels = config.num_levels
+        if levels is None:
+            levels = (finest // coarsest).bit_length()
+            coarsest = finest / 2 ** (levels - 1)
         self._encoding = HashEncoding(
-            levels=config.num_levels,
+            levels=levels,
             # Several numbers at a corner would have the same gradient and stay alike.
             features_per_level=1,
             log2_table=config.log2_table,
-            base_resolution=config.base_resolution,
-            finest_resolution=config.finest_resolution,
+            base_resolution=coarsest,
+            finest_resolution=finest,
             init_scale=0.0,
             sum_levels=True,
         )
-        self._active_levels = config.num_levels
+        self._active_levels = levels
 
     def forward(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
         correction = self._encoding(points, active_levels=self._active_levels)[:, 0]
@@ -43,17 +49,16 @@ class HashGridField(Field):
         return distance - self._config.sphere_radius + correction
 
     def parameter_groups(self) -> list[ParameterGroup]:
-        return self._groups(self._config.rate)
+        return self._groups(self._config.rate, self._config.base_resolution)
 
     def fit_groups(self) -> list[ParameterGroup]:
-        return self._groups(_FIT_RATE)
+        return self._groups(_FIT_RATE, self._encoding.resolutions[0])
 
-    def _groups(self, coarsest: float) -> list[ParameterGroup]:
-        """Every level with a rate of its own."""
-        resolutions, tables = self._encoding.resolutions, self._encoding.tables
+    def _groups(self, rate: float, cells: int) -> list[ParameterGroup]:
+        """Every level with a rate in proportion to the width of its cells: the given one for so many across."""
         return [
-            ParameterGroup(parameters=[table], rate=coarsest * resolutions[0] / resolution)
-            for table, resolution in zip(tables, resolutions, strict=True)
+            ParameterGroup(parameters=[table], rate=rate * cells / resolution)
+            for table, resolution in zip(self._encoding.tables, self._encoding.resolutions, strict=True)
         ]
 
     def set_detail(self, cell_size: float) -> None:

@@ -35,7 +35,7 @@ class MlpFieldConfig(FieldConfig):
             self.skip_layer <= last, f"{option}.skip-layer", self.skip_layer, f"0 to {last}, one of the hidden layers"
         )
 
-    def build(self, device: "torch.device") -> "MlpField":
+    def build(self, cells: int, device: "torch.device") -> "MlpField":
         from sculpt_plugins.fields.mlp.field import MlpField
 
         return MlpField(self).to(device)

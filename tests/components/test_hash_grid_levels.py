@@ -1,0 +1,57 @@
+"""Levels of the hash grid field: as wide as the cells it is sampled with."""
+
+import pytest
+import torch
+
+from sculpt_framework.shape_from_images.field_fit import fit_field
+from sculpt_framework.shape_from_images.volume import sample
+from sculpt_plugins.fields.hash_grid.config import HashGridFieldConfig
+
+CPU = torch.device("cpu")
+
+
+def levels(config: HashGridFieldConfig, cells: int) -> list[int]:
+    """Entries of each level's table, as cells across: none is hashed here."""
+    field = config.build(cells, CPU)
+    return [round(table.shape[0] ** (1 / 3)) - 1 for group in field.parameter_groups() for table in group.parameters]
+
+
+@pytest.mark.parametrize(
+    ("cells", "expected"),
+    [(64, [4, 8, 16, 32, 64, 128]), (44, [6, 11, 22, 44, 88]), (3, [6]), (1, [2])],
+)
+def test_a_level_has_the_cells_of_the_grid_and_the_last_twice_as_many(cells: int, expected: list[int]):
+    assert levels(HashGridFieldConfig(log2_table=24), cells) == expected
+
+
+def test_what_is_given_holds_whatever_the_grid_has():
+    given = HashGridFieldConfig(num_levels=3, base_resolution=4, finest_resolution=64, log2_table=24)
+    assert levels(given, 44) == levels(given, 128) == [4, 16, 64]
+    assert levels(HashGridFieldConfig(num_levels=2, log2_table=24), 16) == [4, 32]
+    assert levels(HashGridFieldConfig(finest_resolution=40, log2_table=24), 128) == [5, 10, 20, 40]
+
+
+def fit_of_a_bar(config: HashGridFieldConfig, cells: int) -> tuple[float, float]:
+    """Mean error near the surface of a bar as thick as one and a half cells, and how much of its axis is inside."""
+    torch.manual_seed(0)
+    axis = torch.nn.functional.normalize(torch.tensor([1.0, 0.7, 0.4]), dim=0)
+
+    def bar(points: torch.Tensor) -> torch.Tensor:
+        return (points - (points @ axis)[:, None] * axis).norm(dim=1) - 1.5 / cells
+
+    volume = sample(bar, (1.0, 1.0, 1.0), cells, CPU)
+    field = config.build(cells, CPU)
+    field.set_detail(volume.cell)
+    error = fit_field(field, volume, steps=120, generator=torch.Generator().manual_seed(0), device=CPU)
+    with torch.no_grad():
+        inside = field(torch.linspace(-0.8, 0.8, 2000)[:, None] * axis) < 0
+    return error, float(inside.float().mean())
+
+
+def test_a_thin_bar_needs_a_level_as_wide_as_the_cells():
+    """Whose finest level is half as wide again loses a part of it; one of half the width is not used."""
+    error, inside = fit_of_a_bar(HashGridFieldConfig(), 44)
+    coarse_error, coarse_inside = fit_of_a_bar(HashGridFieldConfig(num_levels=5, finest_resolution=64), 44)
+    assert inside == 1.0
+    assert coarse_inside < 0.95
+    assert error < 0.7 * coarse_error

@@ -55,3 +55,10 @@ def test_a_thin_bar_needs_a_level_as_wide_as_the_cells():
     assert inside == 1.0
     assert coarse_inside < 0.95
     assert error < 0.7 * coarse_error
+
+
+def test_a_level_learns_as_fast_whatever_others_there_are():
+    """Rates of training are those of the cells' widths; 44 cells are a level of both."""
+    one, other = (HashGridFieldConfig(log2_table=24).build(cells, CPU).parameter_groups() for cells in (44, 88))
+    assert [group.rate for group in one[1:]] == pytest.approx([group.rate for group in other[1:-1]])
+    assert one[0].rate == pytest.approx(4e-3 * 4 / 6)

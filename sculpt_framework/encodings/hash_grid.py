@@ -41,7 +41,7 @@ class HashEncoding(nn.Module):
         levels: int,
         features_per_level: int,
         log2_table: int,
-        base_resolution: float,
+        base_resolution: float | int,
         finest_resolution: int,
         init_scale: float,
         sum_levels: bool = False,

@@ -50,8 +50,7 @@ def fit_to_views(
         come_by(target)
     if target is None:
         raise ValueError(f"{type(initializer).__name__} makes nothing to start from")
-    finest = config.trainer.finest_cells
-    cells = min(max(finest, _CELLS_AT_LEAST), _CELLS_AT_MOST)
+    cells = min(max(config.trainer.finest_cells, _CELLS_AT_LEAST), _CELLS_AT_MOST)
     x, y, z = (float(side) for side in box.half_sides)
     volume = sample(target, (x, y, z), cells, device, block=_BLOCK)
     # Only the detail that the volume shows: finer levels would learn what happens between its centres, which is noise.

@@ -22,7 +22,7 @@ from sculpt_framework.stress.precision import compare, default_type, relative
 _CPU = torch.device("cpu")
 _ROUNDING = 3e-5
 _CELL = 0.05
-_CELLS = 128
+_FIELD_CELLS = 128
 EXTRACTORS = ("flexicubes", "marching-tetrahedra")
 
 
@@ -144,14 +144,14 @@ def _field(name: str, reach: float) -> Measured:
     config = registry.default("field", name)
     assert isinstance(config, FieldConfig)  # noqa: S101 - what the registry promises for the slot
     torch.manual_seed(0)
-    field = config.build(_CELLS, _CPU)
+    field = config.build(_FIELD_CELLS, _CPU)
     with torch.no_grad():
         for parameter in field.parameters():
             parameter.add_(1e-3 * torch.randn(parameter.shape, generator=torch.Generator().manual_seed(9)))
-    field.set_detail(2.0 / _CELLS)
-    double = config.build(_CELLS, _CPU).double()
+    field.set_detail(2.0 / _FIELD_CELLS)
+    double = config.build(_FIELD_CELLS, _CPU).double()
     double.load_state_dict(field.state_dict())
-    double.set_detail(2.0 / _CELLS)
+    double.set_detail(2.0 / _FIELD_CELLS)
 
     def compute(inputs: Mapping[str, Tensor]) -> dict[str, Tensor]:
         points = inputs["points"]

@@ -49,7 +49,7 @@ def fit_of_a_bar(config: HashGridFieldConfig, cells: int) -> tuple[float, float]
 
 
 def test_a_thin_bar_needs_a_level_as_wide_as_the_cells():
-    """Whose finest level is half as wide again loses a part of it; one of half the width is not used."""
+    """Of levels up to 64 cells, 32 are the finest that are not finer than 44: they lose a part of the bar."""
     error, inside = fit_of_a_bar(HashGridFieldConfig(), 44)
     coarse_error, coarse_inside = fit_of_a_bar(HashGridFieldConfig(num_levels=5, finest_resolution=64), 44)
     assert inside == 1.0

@@ -19,7 +19,7 @@ from scipy import ndimage
 from sculpt_framework.multi_view_stereo.depth_maps import DepthMaps, StereoOptions, depth_bounds, find_depths
 from sculpt_framework.multi_view_stereo.fusion import fuse_without_outlines
 from sculpt_framework.multi_view_stereo.stereo_views import StereoViews, stereo_views
-from sculpt_framework.posed_images.grab_cut import LEAST, cut_along, masked
+from sculpt_framework.posed_images.grab_cut import LEAST, background_of, cut_along, masked, rough_cut
 from sculpt_framework.posed_images.plain_parts import agreed, grown
 from sculpt_framework.posed_images.support import Plane, find_planes, goes_on
 from sculpt_framework.shape_from_images.volume import Volume, whole_box
@@ -296,17 +296,20 @@ def _with_plain_parts(
     for number, mask in zip(showing, masks, strict=True):
         rows, columns = mask.shape
         more = mask & held[number][:rows, :columns]
-        out[number] = _Rough(inside=rough[number].inside | more, sure=rough[number].sure | more)
+        # As all views agree on some of what is between their outlines, it stays to be decided.
+        out[number] = replace(rough[number], inside=rough[number].inside | more)
     return out
 
 
 def _masked(views: Sequence[View], rough: Sequence[_Rough]) -> list[View]:
     """Those without an alpha get one, along their rough outlines."""
-
-    def with_mask(view: View, own: _Rough) -> View:
-        return view if view.alpha is not None else masked(view, cut_along(view, own.inside, own.sure))
-
-    return in_threads(lambda pair: with_mask(*pair), list(zip(views, rough, strict=True)))
+    bare = [number for number, view in enumerate(views) if view.alpha is None]
+    cuts = in_threads(lambda number: rough_cut(views[number], rough[number].inside, rough[number].sure), bare)
+    background = background_of(cuts)
+    out = list(views)
+    for number, mask in zip(bare, in_threads(lambda cut: cut_along(cut, background), cuts), strict=True):
+        out[number] = masked(views[number], mask)
+    return out
 
 
 def _shows(view: View) -> bool:

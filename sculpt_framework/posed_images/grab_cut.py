@@ -3,6 +3,7 @@
 Rother, Kolmogorov, Blake: "GrabCut", SIGGRAPH 2004; the implementation is OpenCV's.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -16,13 +17,20 @@ LEAST = 0.002
 """A mask of less than this share of the image shows nothing."""
 _PIECE = 0.05
 """Pieces smaller than this share of the largest are specks."""
-_ALONG, _STRIP = 480, 0.012
-"""Longer side of the images that a rough outline is followed in, and half the width of the strip that is decided, as a
-share of it."""
-_LEARNED = 3
+_ALONG, _STRIP = 640, 1.5
+"""Longer side of the images that a rough outline is followed in, and half the width of the strip that is decided, in
+pixels of the rough outline."""
+_LEARNED = 2
 """Rounds in which a view's colours are learned."""
+_EACH = 200
+"""Pixels of each view that teach the others what the background looks like."""
+_NEAR, _FEW = 24, 50
+"""Half the side of the windows in which colours are learned once more, and how much object and background must be in
+one at least; pixels."""
 Trimap = UInt8[np.ndarray, "h w"]
 Mask = Bool[np.ndarray, "h w"]
+Pixels = UInt8[np.ndarray, "h w 3"]
+Samples = UInt8[np.ndarray, "n 1 3"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -67,16 +75,20 @@ def learned_cut(
     *,
     margin: int | None = None,
     doubtful: Mask | None = None,
+    background: Samples | None = None,
 ) -> Mask:
     """What looks like the object, by colours that are learned near what is to be decided: within ``margin`` pixels of
-    it, or as many as suit its size. What is ``doubtful`` teaches nothing before the first of the rounds: it would teach
-    that it is what it is taken for."""
+    it, or as many as suit its size. Before the first of the rounds, what is ``doubtful`` teaches nothing, as it would
+    teach that it is what it is taken for, and samples of the ``background`` of other views teach as well."""
     # The clusters it starts from are drawn at random, from a generator of each thread.
     cv2.setRNGSeed(0)
     learned = Colors(background=np.zeros((1, 65)), object=np.zeros((1, 65)))
     window = window_of(trimap != cv2.GC_BGD, margin)
     teaching = np.ones_like(trimap[window], bool) if doubtful is None else ~doubtful[window]
     column, labels = np.ascontiguousarray(image[window][teaching][:, None]), trimap[window][teaching][:, None].copy()
+    if background is not None:
+        column = np.concatenate([column, background])
+        labels = np.concatenate([labels, np.full((len(background), 1), cv2.GC_BGD, np.uint8)])
     cv2.grabCut(column, labels, (0, 0, 1, 1), learned.background, learned.object, 0, cv2.GC_INIT_WITH_MASK)
     first = _decided(image, trimap, learned, 1, cv2.GC_EVAL_FREEZE_MODEL, margin)
     guessed = np.where(_open(trimap), np.where(first, cv2.GC_PR_FGD, cv2.GC_PR_BGD), trimap).astype(np.uint8)
@@ -152,24 +164,85 @@ def masked(view: View, mask: Mask) -> View:
     return replace(view, alpha=torch.from_numpy(alpha))
 
 
-def cut_along(view: View, rough: Mask, sure: Mask) -> Bool[np.ndarray, "h2 w2"]:
-    """A mask of some 480 pixels that follows edges and colours near the outline of a ``rough`` one of any size, and
-    where that is not ``sure``.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RoughCut:
+    """A view at the size of a cut, with what of it is to be decided."""
 
-    Colours of object and background are learned in this view, near the outline, and not from what is not sure.
-    Where all is, or nothing, the rough mask is right as it is.
-    """
+    image: Pixels
+    trimap: Trimap
+    doubtful: Mask
+    """What teaches no colours: taken for the object, but not seen to be."""
+
+
+def rough_cut(view: View, rough: Mask, sure: Mask) -> RoughCut:
+    """Of some 640 pixels. Open is what is near the outline of a ``rough`` mask of any size, and where that is not
+    ``sure``."""
     small = reduced(view, _ALONG)
     height, width = small.image.shape[:2]
+    if not rough.any():
+        nothing = np.zeros((height, width), bool)
+        return RoughCut(image=small.image, trimap=np.full_like(nothing, cv2.GC_BGD, np.uint8), doubtful=nothing)
     start, seen = (
         cv2.resize(mask.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR) > 0.5
         for mask in (rough, sure)
     )
-    wide = max(2, round(_STRIP * max(height, width)))
+    wide = max(1, int(_STRIP * width / rough.shape[1]))
+    # Depths reach beyond outlines: beside what is not seen, nothing is sure either.
+    seen &= cv2.dilate((start & ~seen).astype(np.uint8), _disk(wide)) == 0
     trimap = strip(start, wide, sure=seen, possible=np.ones_like(start))
-    if not (trimap == cv2.GC_FGD).any() or not (trimap == cv2.GC_BGD).any():
-        return start
-    return learned_cut(small.image, trimap, _LEARNED, doubtful=start & ~seen)
+    return RoughCut(image=small.image, trimap=trimap, doubtful=start & ~seen)
+
+
+def background_of(cuts: Sequence[RoughCut]) -> Samples:
+    """Some colours of what is background in each view, as samples: what a view with little of its own learns from."""
+    samples = [np.zeros((0, 3), np.uint8)]
+    for each in cuts:
+        around = each.trimap == cv2.GC_BGD
+        if not around.all():
+            window = window_of(~around)
+            pixels = each.image[window][around[window]]
+            samples.append(pixels[:: max(1, len(pixels) // _EACH)])
+    return np.concatenate(samples)[:, None]
+
+
+def cut_along(rough: RoughCut, background: Samples) -> Mask:
+    """A mask that follows edges and colours where that is open.
+
+    Colours of object and background are learned in this view, near the outline, and not from what is not sure; those of
+    the background from samples of other views as well. Where there is nothing of one of the two, or nothing to decide,
+    the rough mask is right as it is.
+    """
+    trimap = rough.trimap
+    without = not (trimap == cv2.GC_BGD).any() and not len(background)
+    if without or not (trimap == cv2.GC_FGD).any() or not _open(trimap).any():
+        return (trimap == cv2.GC_FGD) | (trimap == cv2.GC_PR_FGD)
+    found = learned_cut(rough.image, trimap, _LEARNED, doubtful=rough.doubtful, background=background)
+    return _cut_near(rough, found)
+
+
+def _cut_near(rough: RoughCut, found: Mask) -> Mask:
+    """``found`` with what is near the rough outline decided by the colours beside it: in overlapping windows, each by
+    what is in it, weighted by nearness to its middle."""
+    strip_of = _open(rough.trimap) & ~rough.doubtful
+    labels = np.where(rough.doubtful, np.where(found, cv2.GC_FGD, cv2.GC_BGD), rough.trimap).astype(np.uint8)
+    height, width = labels.shape
+    votes, weights = np.zeros((height, width)), np.zeros((height, width))
+    hat = np.bartlett(2 * _NEAR + 2)[1:-1]
+    for row in range(-_NEAR, height, _NEAR):
+        for column in range(-_NEAR, width, _NEAR):
+            rows, columns = (
+                slice(max(0, at), min(end, at + 2 * _NEAR)) for at, end in ((row, height), (column, width))
+            )
+            window = rows, columns
+            own = labels[window]
+            if not strip_of[window].any() or min((own == kind).sum() for kind in (cv2.GC_FGD, cv2.GC_BGD)) < _FEW:
+                continue
+            weight = np.outer(
+                hat[rows.start - row : rows.stop - row], hat[columns.start - column : columns.stop - column]
+            )
+            votes[window] += weight * (learned_cut(rough.image[window], own, _LEARNED, margin=2 * _NEAR) - 0.5)
+            weights[window] += weight
+    return without_specks(np.where(strip_of & (weights > 0), votes > 0, found))
 
 
 def _disk(radius: int) -> UInt8[np.ndarray, "k k"]:

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import torch
 
-from sculpt_framework.posed_images.grab_cut import cut_along, learned_cut
+from sculpt_framework.posed_images.grab_cut import background_of, cut_along, learned_cut, rough_cut
 from sculpt_framework.types import Camera, View
 
 HEIGHT, WIDTH = 60, 120
@@ -39,9 +39,7 @@ def test_a_speck_of_the_object_is_enough_to_learn_from():
     assert not found[:18].any()
 
 
-def test_a_rough_outline_is_followed_to_the_edge_where_nothing_was_measured():
-    rough, sure = np.zeros((HEIGHT, WIDTH), bool), np.zeros((HEIGHT, WIDTH), bool)
-    rough[:, 38:118], sure[22:38, 42:58] = True, True
+def seen_at(rgb: np.ndarray) -> View:
     camera = Camera(
         world_to_camera=torch.eye(4, dtype=torch.float64),
         fx=100.0,
@@ -51,8 +49,36 @@ def test_a_rough_outline_is_followed_to_the_edge_where_nothing_was_measured():
         width=WIDTH,
         height=HEIGHT,
     )
-    rgb = torch.from_numpy(picture()[:, :, ::-1].astype(np.float32) / 255)
-    found = cut_along(View(name="", camera=camera, rgb=rgb, alpha=None), rough, sure)
+    return View(name="", camera=camera, rgb=torch.from_numpy(rgb[:, :, ::-1].astype(np.float32) / 255), alpha=None)
+
+
+def block(rows: slice, columns: slice) -> np.ndarray:
+    out = np.zeros((HEIGHT, WIDTH), bool)
+    out[rows, columns] = True
+    return out
+
+
+def assert_is_the_object(found: np.ndarray) -> None:
     assert found.shape == OBJECT.shape
     assert (found & OBJECT).sum() > 0.97 * OBJECT.sum()
     assert (found & ~OBJECT).sum() < 0.03 * OBJECT.sum()
+
+
+def test_a_rough_outline_is_followed_to_the_edge_where_nothing_was_measured():
+    rough = rough_cut(seen_at(picture()), block(slice(None), slice(38, 118)), block(slice(22, 38), slice(42, 58)))
+    assert_is_the_object(cut_along(rough, background_of([rough])))
+
+
+def test_depths_beyond_an_edge_do_not_teach_that_what_is_beside_it_is_the_object():
+    """What was measured reaches two pixels over the edge, as windows of depths do."""
+    rough = rough_cut(seen_at(picture()), block(slice(None), slice(30, 118)), block(slice(18, 42), slice(38, 62)))
+    assert_is_the_object(cut_along(rough, background_of([rough])))
+
+
+def test_a_view_without_a_background_of_its_own_learns_from_others():
+    everywhere = np.ones((HEIGHT, WIDTH), bool)
+    filled = rough_cut(seen_at(picture()), everywhere, block(slice(22, 38), slice(42, 58)))
+    assert not background_of([filled]).size
+    assert cut_along(filled, background_of([filled])).all()
+    other = rough_cut(seen_at(picture()), OBJECT, OBJECT)
+    assert_is_the_object(cut_along(filled, background_of([filled, other])))

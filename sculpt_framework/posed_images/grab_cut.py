@@ -30,6 +30,7 @@ one at least; pixels."""
 Trimap = UInt8[np.ndarray, "h w"]
 Mask = Bool[np.ndarray, "h w"]
 Pixels = UInt8[np.ndarray, "h w 3"]
+"""Blue, green, red."""
 Samples = UInt8[np.ndarray, "n 1 3"]
 
 
@@ -45,12 +46,11 @@ class Colors:
 class SmallView:
     """A view at the size of a cut."""
 
-    image: UInt8[np.ndarray, "h w 3"]
-    """Blue, green, red."""
+    image: Pixels
     camera: Camera
 
 
-def cut(image: UInt8[np.ndarray, "h w 3"], trimap: Trimap, colors: Colors) -> Mask:
+def cut(image: Pixels, trimap: Trimap, colors: Colors) -> Mask:
     if not _open(trimap).any():
         return trimap == cv2.GC_FGD
     known = Colors(background=colors.background.copy(), object=colors.object.copy())
@@ -69,7 +69,7 @@ def strip(start: Mask, wide: int, *, sure: Mask, possible: Mask, within: int | N
 
 
 def learned_cut(
-    image: UInt8[np.ndarray, "h w 3"],
+    image: Pixels,
     trimap: Trimap,
     rounds: int,
     *,
@@ -101,7 +101,7 @@ def _open(trimap: Trimap) -> Mask:
 
 
 def _decided(
-    image: UInt8[np.ndarray, "h w 3"],
+    image: Pixels,
     trimap: Trimap,
     colors: Colors,
     rounds: int,
@@ -223,7 +223,7 @@ def cut_along(rough: RoughCut, background: Samples) -> Mask:
 def _cut_near(rough: RoughCut, found: Mask) -> Mask:
     """``found`` with what is near the rough outline decided by the colours beside it: in overlapping windows, each by
     what is in it, weighted by nearness to its middle."""
-    strip_of = _open(rough.trimap) & ~rough.doubtful
+    near = _open(rough.trimap) & ~rough.doubtful
     labels = np.where(rough.doubtful, np.where(found, cv2.GC_FGD, cv2.GC_BGD), rough.trimap).astype(np.uint8)
     height, width = labels.shape
     votes, weights = np.zeros((height, width)), np.zeros((height, width))
@@ -235,14 +235,14 @@ def _cut_near(rough: RoughCut, found: Mask) -> Mask:
             )
             window = rows, columns
             own = labels[window]
-            if not strip_of[window].any() or min((own == kind).sum() for kind in (cv2.GC_FGD, cv2.GC_BGD)) < _FEW:
+            if not near[window].any() or min((own == kind).sum() for kind in (cv2.GC_FGD, cv2.GC_BGD)) < _FEW:
                 continue
             weight = np.outer(
                 hat[rows.start - row : rows.stop - row], hat[columns.start - column : columns.stop - column]
             )
             votes[window] += weight * (learned_cut(rough.image[window], own, _LEARNED, margin=2 * _NEAR) - 0.5)
             weights[window] += weight
-    return without_specks(np.where(strip_of & (weights > 0), votes > 0, found))
+    return without_specks(np.where(near & (weights > 0), votes > 0, found))
 
 
 def _disk(radius: int) -> UInt8[np.ndarray, "k k"]:

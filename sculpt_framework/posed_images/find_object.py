@@ -108,14 +108,12 @@ def find_object(
     share = sum(int((each.inside & each.sure).sum()) for each in rough) / max(1, whole)
     if share < _SURE:
         return f"{solid.known}, but of what they make up only {100 * share:.0f} % is seen"
-    # By depths alone it must be shown well enough: what colours add to a speck is no object.
-    done = _masked(given, rough)
-    shown = sum(map(_shows, done[: len(views)]))
+    done = _masked(given, rough if _one_sided(posed) else _with_plain_parts(posed, rough, stack, solid))
+    train = [view for view in done[: len(views)] if _shows(view)]
+    # By depths alone it must be shown well enough, too: what colours add to a speck is no object.
+    shown = min(len(train), sum(each.inside.mean() >= LEAST for each in rough[: len(views)]))
     if shown < _SHOWN * len(views):
         return f"{solid.known}, but only {shown} of {len(views)} images show what they make up"
-    if not _one_sided(posed):
-        done = _masked(given, _with_plain_parts(posed, rough, stack, solid))
-    train = [view for view in done[: len(views)] if _shows(view)]
     said = f"{bare} of {len(done)} images have no mask: the object is what they agree on in depth ({solid.known})"
     said += f"; {_CUT_AWAY[len(solid.planes)]} cut away (--dataset.keep-support leaves it)" if solid.planes else ""
     said += "; look at the masks: sculpt-data masks DIR."

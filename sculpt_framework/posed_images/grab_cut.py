@@ -27,6 +27,8 @@ _EACH = 200
 _NEAR, _FEW = 24, 50
 """Half the side of the windows in which colours are learned once more, and how much object and background must be in
 one at least; pixels."""
+_ALIKE = 0.8
+"""Share of the known pixels of a window that colours put on the right side, up to which they decide nothing there."""
 Trimap = UInt8[np.ndarray, "h w"]
 Mask = Bool[np.ndarray, "h w"]
 Pixels = UInt8[np.ndarray, "h w 3"]
@@ -80,19 +82,29 @@ def learned_cut(
     """What looks like the object, by colours that are learned near what is to be decided: within ``margin`` pixels of
     it, or as many as suit its size. Before the first of the rounds, what is ``doubtful`` teaches nothing, as it would
     teach that it is what it is taken for, and samples of the ``background`` of other views teach as well."""
-    # The clusters it starts from are drawn at random, from a generator of each thread.
-    cv2.setRNGSeed(0)
-    learned = Colors(background=np.zeros((1, 65)), object=np.zeros((1, 65)))
     window = window_of(trimap != cv2.GC_BGD, margin)
     teaching = np.ones_like(trimap[window], bool) if doubtful is None else ~doubtful[window]
-    column, labels = np.ascontiguousarray(image[window][teaching][:, None]), trimap[window][teaching][:, None].copy()
+    column, labels = image[window][teaching][:, None], trimap[window][teaching][:, None]
     if background is not None:
         column = np.concatenate([column, background])
         labels = np.concatenate([labels, np.full((len(background), 1), cv2.GC_BGD, np.uint8)])
-    cv2.grabCut(column, labels, (0, 0, 1, 1), learned.background, learned.object, 0, cv2.GC_INIT_WITH_MASK)
-    first = _decided(image, trimap, learned, 1, cv2.GC_EVAL_FREEZE_MODEL, margin)
+    return _cut_by(image, trimap, _learned(column, labels), rounds, margin)
+
+
+def _cut_by(image: Pixels, trimap: Trimap, colors: Colors, rounds: int, margin: int | None) -> Mask:
+    """By colours that are learned from what is known alone, then also from what they decide; changed in place."""
+    first = _decided(image, trimap, colors, 1, cv2.GC_EVAL_FREEZE_MODEL, margin)
     guessed = np.where(_open(trimap), np.where(first, cv2.GC_PR_FGD, cv2.GC_PR_BGD), trimap).astype(np.uint8)
-    return _decided(image, guessed, learned, rounds - 1, cv2.GC_EVAL, margin)
+    return _decided(image, guessed, colors, rounds - 1, cv2.GC_EVAL, margin)
+
+
+def _learned(samples: Samples, labels: UInt8[np.ndarray, "n 1"]) -> Colors:
+    # The clusters it starts from are drawn at random, from a generator of each thread.
+    cv2.setRNGSeed(0)
+    colors = Colors(background=np.zeros((1, 65)), object=np.zeros((1, 65)))
+    samples, labels = np.ascontiguousarray(samples), labels.copy()
+    cv2.grabCut(samples, labels, (0, 0, 1, 1), colors.background, colors.object, 0, cv2.GC_INIT_WITH_MASK)
+    return colors
 
 
 def _open(trimap: Trimap) -> Mask:
@@ -187,10 +199,10 @@ def rough_cut(view: View, rough: Mask, sure: Mask) -> RoughCut:
         for mask in (rough, sure)
     )
     wide = max(1, int(_STRIP * width / rough.shape[1]))
-    # Depths reach beyond outlines: beside what is not seen, nothing is sure either.
-    seen &= cv2.dilate((start & ~seen).astype(np.uint8), _disk(wide)) == 0
-    trimap = strip(start, wide, sure=seen, possible=np.ones_like(start))
-    return RoughCut(image=small.image, trimap=trimap, doubtful=start & ~seen)
+    # Depths reach beyond outlines: beside what is not seen, nothing is sure either, and still less teaches.
+    beside, near = (cv2.dilate((start & ~seen).astype(np.uint8), _disk(radius)) > 0 for radius in (wide, 2 * wide))
+    trimap = strip(start, wide, sure=~beside, possible=np.ones_like(start))
+    return RoughCut(image=small.image, trimap=trimap, doubtful=start & near)
 
 
 def background_of(cuts: Sequence[RoughCut]) -> Samples:
@@ -222,7 +234,9 @@ def cut_along(rough: RoughCut, background: Samples) -> Mask:
 
 def _cut_near(rough: RoughCut, found: Mask) -> Mask:
     """``found`` with what is near the rough outline decided by the colours beside it: in overlapping windows, each by
-    what is in it, weighted by nearness to its middle."""
+    what is in it, weighted by nearness to its middle. Where object and background are of the same colours, the rough
+    outline stays."""
+    start = (rough.trimap == cv2.GC_FGD) | (rough.trimap == cv2.GC_PR_FGD)
     near = _open(rough.trimap) & ~rough.doubtful
     labels = np.where(rough.doubtful, np.where(found, cv2.GC_FGD, cv2.GC_BGD), rough.trimap).astype(np.uint8)
     height, width = labels.shape
@@ -240,9 +254,38 @@ def _cut_near(rough: RoughCut, found: Mask) -> Mask:
             weight = np.outer(
                 hat[rows.start - row : rows.stop - row], hat[columns.start - column : columns.stop - column]
             )
-            votes[window] += weight * (learned_cut(rough.image[window], own, _LEARNED, margin=2 * _NEAR) - 0.5)
+            image = rough.image[window]
+            colors = _learned(image.reshape(-1, 1, 3), own.reshape(-1, 1))
+            trust = max(0.0, _told_apart(image, own, colors) - _ALIKE) / (1 - _ALIKE)
+            by_colors = _cut_by(image, own, colors, _LEARNED, 2 * _NEAR)
+            votes[window] += weight * (trust * by_colors + (1 - trust) * start[window] - 0.5)
             weights[window] += weight
     return without_specks(np.where(near & (weights > 0), votes > 0, found))
+
+
+def _told_apart(image: Pixels, trimap: Trimap, colors: Colors) -> float:
+    """Share of what is known that colours put on the right side, pixel by pixel; the mean of object and background."""
+    right = (
+        _density(known, own) > _density(known, other)
+        for known, own, other in (
+            (image[trimap == cv2.GC_FGD], colors.object, colors.background),
+            (image[trimap == cv2.GC_BGD], colors.background, colors.object),
+        )
+    )
+    return float(np.mean([each.mean() for each in right]))
+
+
+def _density(pixels: UInt8[np.ndarray, "n 3"], mixture: Float64[np.ndarray, "1 65"]) -> Float64[np.ndarray, " n"]:
+    """Of a mixture, up to a factor that is the same for all."""
+    shares, means, spreads = np.split(mixture[0], (5, 20))
+    total = np.zeros(len(pixels))
+    for share, mean, spread in zip(shares, means.reshape(5, 3), spreads.reshape(5, 3, 3), strict=True):
+        if share > 0:
+            # OpenCV keeps spreads from being singular; an absent cluster has a share of zero.
+            off = pixels - mean
+            distance = np.einsum("ni,ij,nj->n", off, np.linalg.inv(spread), off)
+            total += share * np.exp(-0.5 * distance) / np.sqrt(np.linalg.det(spread))
+    return total
 
 
 def _disk(radius: int) -> UInt8[np.ndarray, "k k"]:

@@ -309,7 +309,7 @@ def polish(config: SculptingConfig, evidence: Evidence) -> Ruling:
         return Ruling(config=with_options(config, "trainer", polish_steps=steps), value=f"{steps} steps", evidence=why)
     return Ruling(
         config=with_options(config, "trainer", polish_gain_db=POLISH_GAIN_DB),
-        value=f"at most {trainer.polish_steps} steps, until ten gain less than {POLISH_GAIN_DB} dB",
+        value=f"at most {trainer.polish_steps} steps, until the last twenty gain less than {POLISH_GAIN_DB} dB",
         evidence=why,
         measured={"gain_db": POLISH_GAIN_DB},
         saves="the steps after that",

@@ -108,7 +108,9 @@ def find_object(
     share = sum(int((each.inside & each.sure).sum()) for each in rough) / max(1, whole)
     if share < _SURE:
         return f"{solid.known}, but of what they make up only {100 * share:.0f} % is seen"
-    done = _masked(given, rough if _one_sided(posed) else _with_plain_parts(posed, rough, stack, solid))
+    one_sided = _one_sided(posed)
+    outlines = rough if one_sided else _with_plain_parts(posed, rough, stack, solid)
+    done = _masked(given, outlines, blind=one_sided)
     train = [view for view in done[: len(views)] if _shows(view)]
     # By depths alone it must be shown well enough, too: what colours add to a speck is no object.
     shown = min(len(train), sum(each.inside.mean() >= LEAST for each in rough[: len(views)]))
@@ -299,10 +301,12 @@ def _with_plain_parts(
     return out
 
 
-def _masked(views: Sequence[View], rough: Sequence[_Rough]) -> list[View]:
-    """Those without an alpha get one, along their rough outlines."""
+def _masked(views: Sequence[View], rough: Sequence[_Rough], *, blind: bool) -> list[View]:
+    """Those without an alpha get one, along their rough outlines; ``blind`` where these end short of borders."""
     bare = [number for number, view in enumerate(views) if view.alpha is None]
-    cuts = in_threads(lambda number: rough_cut(views[number], rough[number].inside, rough[number].sure), bare)
+    cuts = in_threads(
+        lambda number: rough_cut(views[number], rough[number].inside, rough[number].sure, blind=blind), bare
+    )
     background = background_of(cuts)
     out = list(views)
     for number, mask in zip(bare, in_threads(lambda cut: cut_along(cut, background), cuts), strict=True):

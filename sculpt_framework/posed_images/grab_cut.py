@@ -20,6 +20,9 @@ _PIECE = 0.05
 _ALONG, _STRIP = 640, 1.5
 """Longer side of the images that a rough outline is followed in, and half the width of the strip that is decided, in
 pixels of the rough outline."""
+_BLIND = 8
+"""Pixels of the rough outline from an image's border within which hardly anything is measured: windows of coarse images
+do not fit."""
 _LEARNED = 2
 """Rounds in which a view's colours are learned."""
 _EACH = 200
@@ -186,9 +189,9 @@ class RoughCut:
     """What teaches no colours: taken for the object, but not seen to be."""
 
 
-def rough_cut(view: View, rough: Mask, sure: Mask) -> RoughCut:
+def rough_cut(view: View, rough: Mask, sure: Mask, *, blind: bool) -> RoughCut:
     """Of some 640 pixels. Open is what is near the outline of a ``rough`` mask of any size, and where that is not
-    ``sure``."""
+    ``sure``; where it is ``blind`` along the image's border, also what is there beside it."""
     small = reduced(view, _ALONG)
     height, width = small.image.shape[:2]
     if not rough.any():
@@ -202,6 +205,12 @@ def rough_cut(view: View, rough: Mask, sure: Mask) -> RoughCut:
     # Depths reach beyond outlines: beside what is not seen, nothing is sure either, and still less teaches.
     beside, near = (cv2.dilate((start & ~seen).astype(np.uint8), _disk(radius)) > 0 for radius in (wide, 2 * wide))
     trimap = strip(start, wide, sure=~beside, possible=np.ones_like(start))
+    if blind:
+        far = int(_BLIND * width / rough.shape[1])
+        border = np.ones_like(start)
+        border[far : height - far, far : width - far] = False
+        onwards = cv2.dilate((start & border).astype(np.uint8), _disk(far)) > 0
+        trimap = np.where(border & onwards & (trimap == cv2.GC_BGD), cv2.GC_PR_BGD, trimap).astype(np.uint8)
     return RoughCut(image=small.image, trimap=trimap, doubtful=start & near)
 
 

@@ -12,11 +12,11 @@ OBJECT = np.zeros((HEIGHT, WIDTH), bool)
 OBJECT[20:40, 40:60] = True
 
 
-def picture() -> np.ndarray:
+def picture(shape: np.ndarray = OBJECT) -> np.ndarray:
     """A red square before green, of which a part beside it is blue, all a little uneven; blue, green and red."""
     noise = np.random.default_rng(0).integers(-12, 13, (HEIGHT, WIDTH, 3))
     behind = np.where(np.arange(WIDTH)[:, None] > 60, (200, 120, 40), (40, 140, 60))
-    return np.clip(np.where(OBJECT[..., None], (40, 40, 200), behind) + noise, 0, 255).astype(np.uint8)
+    return np.clip(np.where(shape[..., None], (40, 40, 200), behind) + noise, 0, 255).astype(np.uint8)
 
 
 def test_what_is_to_be_decided_does_not_teach_that_it_is_the_object():
@@ -65,22 +65,26 @@ def assert_is_the_object(found: np.ndarray) -> None:
 
 
 def test_a_rough_outline_is_followed_to_the_edge_where_nothing_was_measured():
-    rough = rough_cut(seen_at(picture()), block(slice(None), slice(38, 118)), block(slice(22, 38), slice(42, 58)))
+    rough = rough_cut(
+        seen_at(picture()), block(slice(None), slice(38, 118)), block(slice(22, 38), slice(42, 58)), blind=False
+    )
     assert_is_the_object(cut_along(rough, background_of([rough])))
 
 
 def test_depths_beyond_an_edge_do_not_teach_that_what_is_beside_it_is_the_object():
     """What was measured reaches two pixels over the edge, as windows of depths do."""
-    rough = rough_cut(seen_at(picture()), block(slice(None), slice(30, 118)), block(slice(18, 42), slice(38, 62)))
+    rough = rough_cut(
+        seen_at(picture()), block(slice(None), slice(30, 118)), block(slice(18, 42), slice(38, 62)), blind=False
+    )
     assert_is_the_object(cut_along(rough, background_of([rough])))
 
 
 def test_a_view_without_a_background_of_its_own_learns_from_others():
     everywhere = np.ones((HEIGHT, WIDTH), bool)
-    filled = rough_cut(seen_at(picture()), everywhere, block(slice(22, 38), slice(42, 58)))
+    filled = rough_cut(seen_at(picture()), everywhere, block(slice(22, 38), slice(42, 58)), blind=False)
     assert not background_of([filled]).size
     assert cut_along(filled, background_of([filled])).all()
-    other = rough_cut(seen_at(picture()), OBJECT, OBJECT)
+    other = rough_cut(seen_at(picture()), OBJECT, OBJECT, blind=False)
     assert_is_the_object(cut_along(filled, background_of([filled, other])))
 
 
@@ -88,7 +92,18 @@ def test_an_outline_between_equal_colours_stays_where_depths_have_it():
     """A mat on a table of its colour: GrabCut gives all of what it may decide to one of the two."""
     noise = np.random.default_rng(0).integers(-12, 13, (HEIGHT, WIDTH, 3))
     even = np.clip(np.array((60, 90, 140)) + noise, 0, 255).astype(np.uint8)
-    rough = rough_cut(seen_at(even), OBJECT, OBJECT)
+    rough = rough_cut(seen_at(even), OBJECT, OBJECT, blind=False)
     found = cut_along(rough, background_of([rough]))
     # Of the corners, which a strip is rounded at, colours may take a little.
     assert (found != OBJECT).sum() < 0.02 * OBJECT.sum()
+
+
+def test_an_object_goes_on_to_the_border_where_depths_end_before_it():
+    whole, measured = block(slice(20, 60), slice(40, 60)), block(slice(20, 54), slice(40, 60))
+    found = {}
+    for blind in (False, True):
+        rough = rough_cut(seen_at(picture(whole)), measured, measured, blind=blind)
+        found[blind] = cut_along(rough, background_of([rough]))
+    assert (found[True] & whole).sum() > 0.98 * whole.sum()
+    assert (found[True] & ~whole).sum() < 0.03 * whole.sum()
+    assert not found[False][57:].any()

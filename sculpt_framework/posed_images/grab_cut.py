@@ -293,7 +293,7 @@ def _density(pixels: UInt8[np.ndarray, "n 3"], mixture: Float64[np.ndarray, "1 6
             # OpenCV keeps spreads from being singular; an absent cluster has a share of zero.
             off = pixels - mean
             distance = np.einsum("ni,ij,nj->n", off, np.linalg.inv(spread), off)
-            total += share * np.exp(-0.5 * distance) / np.sqrt(np.linalg.det(spread))
+            total += share * np.exp(-0.5 * np.maximum(distance, 0)) / np.sqrt(np.linalg.det(spread))
     return total
 
 

@@ -138,12 +138,14 @@ def write_masks(folder: str, out: Path, downscale: int | None) -> list[str]:
     masked = [view for view in (*scene.train, *scene.test) if view.alpha is not None]
     if not masked:
         raise DataError(f"{folder}: no view has a mask, and none was made.")
+    # The folder of the images is no part of a mask's name: that is how masks are looked for. Several folders are.
+    inside = {view.name: Path(*(Path(view.name).parts[1:] or Path(view.name).parts)) for view in masked}
+    if len(set(inside.values())) < len(masked):
+        inside = {view.name: Path(view.name) for view in masked}
     for view in masked:
         assert view.alpha is not None  # noqa: S101
         pixels = np.rint(view.alpha.numpy() * 255).astype(np.uint8)
-        # The folder of the images is no part of a mask's name: that is how masks are looked for.
-        inside = Path(view.name).relative_to(Path(view.name).parts[0]) if len(Path(view.name).parts) > 1 else view.name
-        _write_picture(out / f"{inside}.png", np.repeat(pixels[..., None], 3, axis=2))
+        _write_picture(out / f"{inside[view.name]}.png", np.repeat(pixels[..., None], 3, axis=2))
     sheet = out.with_name(f"{out.name}-sheet.png")
     _write_picture(sheet, contact_sheet(scene))
     return [

@@ -1,6 +1,7 @@
 """Files that are whole or not there: written aside, flushed to the disk, then renamed over the old one."""
 
 import os
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import BinaryIO
@@ -30,6 +31,21 @@ def write_atomically(path: Path, content: bytes | Callable[[BinaryIO], None]) ->
             aside.unlink(missing_ok=True)
     except OSError as error:
         raise cannot_write(path, error) from error
+
+
+def link_or_copy(source: Path, target: Path) -> Path:
+    """``source`` under a second name as well, unless there is a file already: a link where the file system can, else a
+    copy. Raises OSError where the system refuses."""
+    if target.exists():
+        return target
+    target.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        os.link(source.resolve(), target)
+    except OSError:
+        aside = target.with_name(f".{target.name}.{os.getpid()}.partial")
+        shutil.copy2(source, aside)
+        os.replace(aside, target)
+    return target
 
 
 def remove_partial_files(folder: Path) -> None:

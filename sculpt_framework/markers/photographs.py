@@ -1,7 +1,6 @@
 """A folder of photographs without cameras: which files, of which camera, and what EXIF says of its focal length."""
 
 import math
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,11 +12,18 @@ from PIL import Image
 
 from sculpt_framework.errors import DataError
 from sculpt_framework.posed_images.decoding import read_image
-from sculpt_framework.posed_images.headers import ImageHeader, read_headers
+from sculpt_framework.posed_images.headers import (
+    ImageHeader,
+    exif_of,
+    exif_settings,
+    heads_alone,
+    positive,
+    read_headers,
+)
 from sculpt_framework.posing.source import find_photographs
 
-_MODEL, _EXIF, _FOCAL, _FOCAL_35 = 272, 0x8769, 37386, 41989
-"""EXIF tags: the camera's name, the table of settings, and in it the focal length, and the same on 35 mm film."""
+_MODEL, _FOCAL, _FOCAL_35 = 272, 37386, 41989
+"""EXIF tags: the camera's name, and in the table of settings the focal length, and the same on 35 mm film."""
 _DIAGONAL_35 = math.hypot(36, 24)
 
 
@@ -33,16 +39,19 @@ class Photograph:
     """What tells photographs of one camera at one zoom from others."""
     focal: float | None
     """In pixels, by EXIF; None where it does not say."""
+    mask: Path | None
+    """The file of its mask."""
 
 
 def list_photographs(folder: str) -> list[Photograph]:
     """By name. Raises DataError where the folder holds fewer than three, or one that cannot be read."""
     found = find_photographs(Path(folder))
     headers = read_headers(found.paths)
-    with warnings.catch_warnings():
-        # Of EXIF that is cut off, and of very large images.
-        warnings.simplefilter("ignore")
-        return [_photograph(found.root, name, header) for name, header in zip(found.names, headers, strict=True)]
+    with heads_alone():
+        return [
+            _photograph(found.root, name, header, mask)
+            for name, header, mask in zip(found.names, headers, found.masks, strict=True)
+        ]
 
 
 def read_grey(photograph: Photograph) -> UInt8[np.ndarray, "h w"]:
@@ -51,12 +60,12 @@ def read_grey(photograph: Photograph) -> UInt8[np.ndarray, "h w"]:
     return np.rint(grey * 255).astype(np.uint8)
 
 
-def _photograph(root: Path, name: str, header: ImageHeader | None) -> Photograph:
+def _photograph(root: Path, name: str, header: ImageHeader | None, mask: Path | None) -> Photograph:
     path = root / name
     if header is None:
         raise DataError(f"{path}: cannot be read as an image; remove it or write it again.")
     model, settings = _exif(path)
-    length, film = _positive(settings.get(_FOCAL)), _positive(settings.get(_FOCAL_35))
+    length, film = positive(settings.get(_FOCAL)), positive(settings.get(_FOCAL_35))
     width, height = header.width, header.height
     return Photograph(
         path=path,
@@ -65,6 +74,7 @@ def _photograph(root: Path, name: str, header: ImageHeader | None) -> Photograph
         height=height,
         camera=f"{model} {width}x{height}" + ("" if length is None else f" {length:g} mm"),
         focal=None if film is None else film / _DIAGONAL_35 * math.hypot(width, height),
+        mask=mask,
     )
 
 
@@ -72,15 +82,6 @@ def _exif(path: Path) -> tuple[str, Mapping[int, object]]:
     """The camera's name and its settings; HEIC's are not looked for, its lens is calibrated on the board."""
     try:
         with Image.open(path) as image:
-            exif = image.getexif()
-            return str(exif.get(_MODEL, "camera")), exif.get_ifd(_EXIF)
+            return str(exif_of(image).get(_MODEL, "camera")), exif_settings(image)
     except (OSError, ValueError, SyntaxError):
         return "camera", {}
-
-
-def _positive(value: object) -> float | None:
-    try:
-        number = float(value)  # pyright: ignore[reportArgumentType]
-    except (TypeError, ValueError, ZeroDivisionError):
-        return None
-    return number if 0 < number < math.inf else None

@@ -1,13 +1,12 @@
 """The scene that cameras from a board make: images, transforms.json and frame.json."""
 
-import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from sculpt_framework.errors import OutputError
-from sculpt_framework.export.atomic import cannot_write, write_atomically
+from sculpt_framework.export.atomic import cannot_write, link_or_copy, write_atomically
 from sculpt_framework.export.json_text import json_text
 from sculpt_framework.frame import WorldFrame, write_frame
 from sculpt_framework.markers.boards import Board
@@ -35,7 +34,8 @@ def check_scene_folder(folder: Path, photographs: Path) -> None:
 
 
 def write_scene(folder: Path, posed: Sequence[PosedPhotograph], board: Board) -> None:
-    """The world is the board's frame: metres, z up. Photographs are copied unless they are there already.
+    """The world is the board's frame: metres, z up. Photographs and masks are linked, or else copied, unless they are
+    there already.
 
     Raises OutputError.
     """
@@ -43,10 +43,10 @@ def write_scene(folder: Path, posed: Sequence[PosedPhotograph], board: Board) ->
     try:
         place.mkdir(parents=True, exist_ok=True)
         for item in posed:
-            target = place / item.photograph.name
-            if not target.exists():
-                target.parent.mkdir(parents=True, exist_ok=True)
-                shutil.copy2(item.photograph.path, target)
+            photograph = item.photograph
+            link_or_copy(photograph.path, place / photograph.name)
+            if photograph.mask is not None:
+                link_or_copy(photograph.mask, folder / "masks" / f"{photograph.name}{photograph.mask.suffix}")
     except OSError as error:
         raise cannot_write(folder, error) from error
     document = {"camera_model": "OPENCV", "frames": [_frame(item) for item in posed]}

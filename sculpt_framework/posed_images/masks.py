@@ -1,5 +1,6 @@
 """Masks in files of their own: white where the object is."""
 
+import os
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path, PurePosixPath
@@ -67,8 +68,8 @@ def find_masks(
 
 
 def mask_folders(root: Path) -> list[Path]:
-    """Those in a folder of photographs."""
-    if not root.is_dir():
+    """Those in a folder of photographs; none where it may not be listed."""
+    if not (root.is_dir() and os.access(root, os.R_OK | os.X_OK)):
         return []
     return sorted(path for path in root.iterdir() if path.name.casefold() in MASK_FOLDERS and path.is_dir())
 

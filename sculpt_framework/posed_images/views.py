@@ -136,7 +136,8 @@ def _read_all(
         pending = [pool.submit(_read, item, turn, divide) for item, turn in zip(posed, turns, strict=True)]
         try:
             done = [job.result() for job in pending]
-        except DataError:
+        except BaseException:
+            # Ctrl-C, too, does not wait for the others.
             pool.shutdown(cancel_futures=True)
             raise
     return [image for image, _ in done], [camera for _, camera in done]

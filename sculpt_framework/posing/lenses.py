@@ -7,12 +7,12 @@ from pathlib import Path, PurePosixPath
 from PIL import Image
 
 from sculpt_framework.posed_images.decoding import find_damage
-from sculpt_framework.posed_images.headers import read_headers
+from sculpt_framework.posed_images.headers import exif_settings, heads_alone, positive, read_headers
 from sculpt_framework.posing.options import Cameras
 from sculpt_framework.posing.source import Photographs
 from sculpt_framework.threads import in_threads
 
-_EXIF, _FOCAL_LENGTH = 0x8769, 0x920A
+_FOCAL_LENGTH = 0x920A
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,7 +31,8 @@ class Sorted:
 def sort_by_lens(photographs: Photographs, cameras: Cameras) -> Sorted:
     """``one``: a lens for each size and focal length; ``per-folder``: the same within each folder."""
     headers = read_headers(photographs.paths)
-    facts = in_threads(_facts, photographs.paths)
+    with heads_alone():
+        facts = in_threads(_facts, photographs.paths)
     names, sizes, unreadable = {}, {}, {}
     groups: dict[tuple[object, ...], int] = {}
     for index, (name, header, (damage, focal)) in enumerate(zip(photographs.names, headers, facts, strict=True)):
@@ -54,7 +55,7 @@ def _facts(path: Path) -> tuple[str | None, float | None]:
     try:
         damage = find_damage(path.read_bytes())
         with Image.open(path) as image:
-            focal = image.getexif().get_ifd(_EXIF).get(_FOCAL_LENGTH)
-            return damage, None if focal is None else round(float(focal), 2)
-    except (OSError, ValueError, SyntaxError, ZeroDivisionError, Image.DecompressionBombError) as error:
+            focal = positive(exif_settings(image).get(_FOCAL_LENGTH))
+            return damage, None if focal is None else round(focal, 2)
+    except (OSError, ValueError, SyntaxError) as error:
         return str(error) or type(error).__name__, None

@@ -32,7 +32,8 @@ class PosingOptions:
             ("--image-size", self.image_size, 64, 100_000),
             ("--features", self.features, 100, 100_000),
             ("--frames", self.frames, 3, 10_000),
-            ("--threads", self.threads or 1, 1, 4096),
+            ("--threads", 1 if self.threads is None else self.threads, 1, 4096),
+            ("--seed", self.seed, 0, 2**31 - 1),
         ):
             if not low <= value <= high:
                 raise ConfigError(f"{option} {value}: expected {low} to {high}.")

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from sculpt_framework.errors import DataError, OutputError
-from sculpt_framework.export.atomic import cannot_write, write_atomically
+from sculpt_framework.export.atomic import cannot_write, link_or_copy, write_atomically
 from sculpt_framework.posed_images.heic import CONVERSIONS, converted
 from sculpt_framework.posed_images.masks import read_mask
 from sculpt_framework.posing import colmap
@@ -48,6 +48,10 @@ class _State:
 
     key: str
     """Of the input and of the options that change the result."""
+    source: str
+    """The folder of photographs, or the video, that the scene is of."""
+    inside: bool
+    """Whether the photographs are those in the scene's own ``images/``, which are the user's."""
     frames: tuple[str, ...] = ()
     """Of a video, once all of them are written."""
     seconds: float = 0.0
@@ -90,12 +94,12 @@ def pose(data: Path, scene: Path, options: PosingOptions, announce: Announcer) -
     Raises ComponentImportError where pycolmap is missing, DataError for photographs of no use, OutputError.
     """
     colmap.require_pycolmap()
-    found = None if is_video(data) else find_photographs(data)
+    found = None if is_video(data) else find_photographs(data, besides=scene)
     files = [data] if found is None else [*found.paths, *(mask for mask in found.masks if mask is not None)]
     matters = {**asdict(replace(options, threads=None)), "names": [] if found is None else found.names}
     key = f"{fingerprint(files)} {json.dumps(matters)}"
     try:
-        state = _begin(scene, key, found, announce)
+        state = _begin(scene, key, (data if found is None else found.root).resolve(), announce)
         at_work = _Posing(data=data, scene=scene, options=options, announce=announce, state=state)
         if _is_model(scene / "sparse" / "0"):
             return read_outcome(scene)
@@ -118,7 +122,7 @@ def _carry_out(at_work: _Posing, found: Photographs | None) -> Outcome:
         )
     images, database = work / "photographs", work / "database.db"
     for name, original in lenses.names.items():
-        _place(photographs.root / original, images / name)
+        link_or_copy(photographs.root / original, images / name)
     masks = None if options.ignore_masks else _write_masks(photographs, lenses, work / "masks")
     colmap.extract(database, images, names, masks, options, at_work.tell("finding features"))
     at_work.keep(at_work.state)
@@ -163,18 +167,27 @@ def _carry_out(at_work: _Posing, found: Photographs | None) -> Outcome:
     return outcome
 
 
-def _begin(scene: Path, key: str, found: Photographs | None, announce: Announcer) -> _State:
+def _begin(scene: Path, key: str, source: Path, announce: Announcer) -> _State:
     """The state to go on from. Raises OutputError where the folder holds something else."""
-    inside = found is not None and found.root.resolve() == (scene / "images").resolve()
+    inside = source == (scene / "images").resolve()
+    new = _State(key=key, source=str(source), inside=inside)
     kept = scene / WORK / "state.json"
     if kept.is_file():
         try:
             said = json.loads(kept.read_text(encoding="utf-8"))
-            state = _State(key=said["key"], frames=tuple(said["frames"]), seconds=said["seconds"])
+            state = _State(**{**said, "frames": tuple(said["frames"])})
         except (ValueError, TypeError, KeyError):
-            state = _State(key="")
+            # Of another version, or damaged: whose images these are is not known.
+            state = replace(new, key="", inside=True)
         if state.key == key:
-            return state
+            return replace(state, source=new.source, inside=inside)
+        if state.inside and not inside:
+            raise OutputError(
+                f"{scene}: its images/ may be photographs that another call was given; give another folder, or remove "
+                "this one if they are copies."
+            )
+        if not inside and state.source != new.source:
+            raise OutputError(f"{scene}: holds the cameras of {state.source}; give another folder, or remove this one.")
         announce.say("photographs or options are not those of the last call: it is begun anew")
         # State last: what is left of a removal that was cut short is removed by the next call.
         for name in ("sparse", *(() if inside else ("images", "masks"))):
@@ -186,7 +199,7 @@ def _begin(scene: Path, key: str, found: Photographs | None, announce: Announcer
             "one whose images/ the photographs are."
         )
     (scene / WORK).mkdir(parents=True, exist_ok=True)
-    return _State(key=key)
+    return new
 
 
 def _may_be_used(scene: Path, inside: bool) -> bool:
@@ -224,8 +237,8 @@ def _placed(found: Photographs, scene: Path) -> Photographs:
             names.append(f"{name}{_convert(found.root / name, scene / 'images' / name)}")
         else:
             names.append(name)
-            _place(found.root / name, scene / "images" / name)
-        masks.append(None if mask is None else _place(mask, scene / "masks" / f"{names[-1]}{mask.suffix}"))
+            link_or_copy(found.root / name, scene / "images" / name)
+        masks.append(None if mask is None else link_or_copy(mask, scene / "masks" / f"{names[-1]}{mask.suffix}"))
     kinds = ", ".join(sorted({Path(name).suffix.lower()[1:] for name in foreign}))
     notes = found.notes
     if foreign:
@@ -242,20 +255,6 @@ def _convert(source: Path, target: Path) -> str:
     target.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(target.with_name(target.name + suffix), content)
     return suffix
-
-
-def _place(source: Path, target: Path) -> Path:
-    """The file under a second name: a link where the file system can, else a copy."""
-    if target.exists():
-        return target
-    target.parent.mkdir(parents=True, exist_ok=True)
-    try:
-        os.link(source.resolve(), target)
-    except OSError:
-        aside = target.with_name(f".{target.name}.{os.getpid()}.partial")
-        shutil.copy2(source, aside)
-        os.replace(aside, target)
-    return target
 
 
 def _write_masks(photographs: Photographs, lenses: Sorted, folder: Path) -> Path | None:

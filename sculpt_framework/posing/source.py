@@ -9,7 +9,7 @@ from pathlib import Path
 
 from sculpt_framework.errors import DataError
 from sculpt_framework.posed_images.folders import contents
-from sculpt_framework.posed_images.masks import MASK_FOLDERS, find_masks, without_masks
+from sculpt_framework.posed_images.masks import MASK_FOLDERS, find_masks, mask_folders, without_masks
 
 CONVERTED = (".heic", ".heif", ".webp", ".avif")
 """What pycolmap does not read: the scene gets JPEGs, or PNGs where there is alpha."""
@@ -45,24 +45,26 @@ def holds_photographs(folder: Path) -> bool:
     """Whether the folder holds photographs, at its top or in its folder of images."""
     return any(
         path.suffix.lower() in PHOTOGRAPHS
-        for place in (folder, *(folder / name for name in _IMAGE_FOLDERS))
-        if place.is_dir()
+        for place in (folder, *_image_folders(folder))
         for path in place.iterdir()
         if not path.name.startswith(".")
     )
 
 
-def find_photographs(folder: Path) -> Photographs:
-    """All photographs below a folder, or below its ``images/`` where there is one; folders of masks are left out.
+def find_photographs(folder: Path, besides: Path | None = None) -> Photographs:
+    """All photographs below a folder, or below its ``images/`` where there is one; folders of masks are left out, and
+    so is what is in the folder ``besides``, if that is below.
 
-    Raises DataError where there is no such folder, or fewer than three photographs in it, and what ``find_masks``
-    raises.
+    Raises DataError where there is no such folder, fewer than three photographs in it, or one whose name is not UTF-8,
+    and what ``find_masks`` raises.
     """
     if not folder.is_dir():
         what = "is no folder and no video" if folder.exists() else "no such folder or file"
         raise DataError(f"{folder}: {what}; expected a folder of photographs, or a video ({', '.join(VIDEOS)}).")
-    root = next((folder / name for name in _IMAGE_FOLDERS if (folder / name).is_dir()), folder)
+    root = next(iter(_image_folders(folder)), folder)
     files = {path for path in root.rglob("*") if path.suffix.lower() in PHOTOGRAPHS and path.is_file()}
+    if besides is not None and root.resolve() in besides.resolve().parents:
+        files = {path for path in files if besides.resolve() not in path.resolve().parents}
     by_folder = groupby(sorted(file for file in files if not _set_aside(file.relative_to(root))), lambda at: at.parent)
     paths = sorted(path for _, beside in by_folder for path in without_masks(list(beside)))
     # What an earlier call has made of a file beside it is not another photograph.
@@ -72,16 +74,24 @@ def find_photographs(folder: Path) -> Photographs:
         if path.with_suffix("").suffix.lower() not in CONVERTED or path.with_suffix("") not in files
     ]
     names = tuple(path.relative_to(root).as_posix() for path in paths)
+    for name in names:
+        if any("\ud800" <= letter <= "\udfff" for letter in name):
+            raise DataError(f"{root}: the name of the file {name!a} is not UTF-8; rename it.")
     if len(names) < FEWEST:
         raise DataError(_too_few(root, names))
     # Masks are in a folder inside that of the photographs, or else beside it.
-    inside = any((root / name).is_dir() for name in MASK_FOLDERS)
-    masks, notes = find_masks(root if inside else root.resolve().parent, paths)
+    masks, notes = find_masks(root if mask_folders(root) else root.resolve().parent, paths)
     return Photographs(root=root, names=names, masks=tuple(masks), notes=tuple(notes))
 
 
 def _set_aside(inside: Path) -> bool:
-    return any(part in MASK_FOLDERS or part.startswith(".") for part in inside.parts)
+    return any(part.casefold() in MASK_FOLDERS or part.startswith(".") for part in inside.parts)
+
+
+def _image_folders(folder: Path) -> list[Path]:
+    """Those in a folder, the usual name first."""
+    inside = [path for path in sorted(folder.iterdir()) if path.name.casefold() in _IMAGE_FOLDERS and path.is_dir()]
+    return sorted(inside, key=lambda path: _IMAGE_FOLDERS.index(path.name.casefold()))
 
 
 def _too_few(root: Path, names: Sequence[str]) -> str:

@@ -246,6 +246,7 @@ def test_ctrl_c_saves_and_resume_ends_as_if_unbroken(
     times = [row["t_train_s"] for row in read_curve(folder / "curve.csv")]
     assert times == sorted(times)
     assert write_masks(str(folder), tmp_path / "masks", None)[0] == f"{tmp_path / 'masks'}: 13 masks"
+    assert len(list((tmp_path / "masks").rglob("*.png"))) == 13
 
     before = files_of(folder)
     capsys.readouterr()

@@ -150,12 +150,15 @@ def test_photographs_of_any_kind_below_the_folder_are_taken(
     for number, image in enumerate(ring_images[6:]):
         # One name twice, in two folders.
         assert cv2.imwrite(str(shots / "second" / f"p0{number}.webp"), image, [cv2.IMWRITE_WEBP_QUALITY, 101])
+    (shots / "masks").mkdir()
+    cv2.imwrite(str(shots / "masks" / "p03.png"), np.full((HEIGHT, WIDTH), 255, np.uint8))
     picture = Image.open(shots / "p05.png").convert("RGB")
     (shots / "p05.png").unlink()
     heif.from_pillow(picture).save(shots / "p05.heic", quality=95)
     run(monkeypatch, shots, "--board", "ring-5x6-30", "--out", tmp_path / "scene")
     scene = NerfstudioConfig(masks="none").build(str(tmp_path / "scene")).load()
     assert len(scene.train) == len(ring_images)
+    assert [path.name for path in (tmp_path / "scene" / "masks").iterdir()] == ["p03.png.png"]
     known = dict(zip((f"p{number:02d}" for number in range(6)), around(8), strict=False))
     for view in scene.train:
         if "second" not in view.name:

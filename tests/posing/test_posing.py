@@ -1,5 +1,6 @@
 """Whole posings of small photographs, by pycolmap."""
 
+import json
 import signal
 import subprocess
 import sys
@@ -18,7 +19,7 @@ from textured_box import photographs, save
 import sculpt_framework
 from sculpt_framework.cli.data import data
 from sculpt_framework.cli.exit_codes import run
-from sculpt_framework.errors import DataError
+from sculpt_framework.errors import DataError, OutputError
 from sculpt_framework.posing import colmap
 from sculpt_framework.posing.announcer import Announcer
 from sculpt_framework.posing.options import PosingOptions
@@ -103,6 +104,40 @@ def test_photographs_without_texture_are_refused_with_what_would_help(tmp_path: 
     with pytest.raises(DataError, match=r"no cameras were found: 0 features .* What helps: sharper photographs"):
         pose(tmp_path / "in", tmp_path / "out", PosingOptions(threads=2), Noted())
     assert not (tmp_path / "out" / "sparse").exists()
+
+
+def plain(folder: Path) -> Path:
+    """Photographs of which cameras are soon not found."""
+    folder.mkdir(parents=True)
+    for index in range(4):
+        cv2.imwrite(str(folder / f"{index}.png"), np.full((120, 160, 3), 128, np.uint8))
+    return folder
+
+
+def test_photographs_in_the_scene_itself_are_not_removed_for_others(tmp_path: Path):
+    own, others = plain(tmp_path / "scene" / "images"), plain(tmp_path / "others")
+    with pytest.raises(DataError, match="no cameras were found"):
+        pose(tmp_path / "scene", tmp_path / "scene", PosingOptions(threads=2), Noted())
+    with pytest.raises(OutputError, match="its images/ may be photographs that another call was given"):
+        pose(others, tmp_path / "scene", PosingOptions(threads=2), Noted())
+    assert len(list(own.iterdir())) == 4
+    # Nor where a state of another version does not say whose they are.
+    state = tmp_path / "scene" / ".posing" / "state.json"
+    state.write_text(json.dumps({"key": "other", "frames": [], "seconds": 1.0}))
+    with pytest.raises(OutputError, match="its images/ may be photographs that another call was given"):
+        pose(others, tmp_path / "scene", PosingOptions(threads=2), Noted())
+    assert len(list(own.iterdir())) == 4
+
+
+def test_a_scene_of_other_photographs_is_not_begun_anew(tmp_path: Path):
+    first, second = plain(tmp_path / "first"), plain(tmp_path / "second")
+    with pytest.raises(DataError, match="no cameras were found"):
+        pose(first, tmp_path / "scene", PosingOptions(threads=2), Noted())
+    with pytest.raises(OutputError, match=r"holds the cameras of .*first; give another folder"):
+        pose(second, tmp_path / "scene", PosingOptions(threads=2), Noted())
+    # Other options of the same photographs begin anew.
+    with pytest.raises(DataError, match="no cameras were found"):
+        pose(first, tmp_path / "scene", PosingOptions(threads=2, features=1000), Noted())
 
 
 @pytest.mark.slow

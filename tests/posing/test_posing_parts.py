@@ -1,5 +1,6 @@
 """What posing decides by itself: what is posed, which frames, which pairs, which lenses, why one is left out."""
 
+import os
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 from measure_poses import pose_errors, similarity
 from PIL import Image
+from PIL.TiffImagePlugin import IFDRational
 from scipy.spatial.transform import Rotation
 
 from sculpt_framework.errors import ComponentImportError, ConfigError, DataError, OutputError
@@ -34,7 +36,7 @@ class Silent(Announcer):
         pass
 
 
-def _photograph(path: Path, size: tuple[int, int] = (32, 24), focal: float | None = None) -> None:
+def _photograph(path: Path, size: tuple[int, int] = (32, 24), focal: object = None) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     exif = Image.Exif()
     if focal is not None:
@@ -85,6 +87,35 @@ def test_masks_inside_the_folder_are_no_photographs(tmp_path: Path):
     found = find_photographs(tmp_path)
     assert found.names == ("0.jpg", "1.jpg", "2.jpg")
     assert found.masks[2] == tmp_path / "masks" / "2.png"
+
+
+def test_names_of_folders_may_be_in_capitals(tmp_path: Path):
+    for index in range(3):
+        _photograph(tmp_path / "Images" / f"{index}.jpg")
+        _photograph(tmp_path / "Images" / "Masks" / f"{index}.png")
+    assert holds_photographs(tmp_path)
+    found = find_photographs(tmp_path)
+    assert found.names == ("0.jpg", "1.jpg", "2.jpg")
+    assert found.masks[2] == tmp_path / "Images" / "Masks" / "2.png"
+
+
+def test_the_scene_inside_of_the_photographs_is_no_input(tmp_path: Path):
+    for index in range(3):
+        _photograph(tmp_path / f"{index}.jpg")
+        _photograph(tmp_path / "scene" / "images" / f"{index}.jpg")
+    assert find_photographs(tmp_path, besides=tmp_path / "scene").names == ("0.jpg", "1.jpg", "2.jpg")
+    assert len(find_photographs(tmp_path).names) == 6
+    # Its own photographs are, where they are all there is.
+    assert find_photographs(tmp_path / "scene", besides=tmp_path / "scene").names == ("0.jpg", "1.jpg", "2.jpg")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems have no such names")
+def test_a_name_that_is_not_utf_8_is_told(tmp_path: Path):
+    for index in range(3):
+        _photograph(tmp_path / f"{index}.jpg")
+    (tmp_path / "0.jpg").rename(os.fsdecode(os.fsencode(tmp_path) + b"/M\xfcller.jpg"))
+    with pytest.raises(DataError, match=r"the name of the file 'M\\udcfcller.jpg' is not UTF-8; rename it"):
+        find_photographs(tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -256,6 +287,32 @@ def test_lenses_go_by_size_focal_length_and_folder(tmp_path: Path):
     assert lens_of_each("one") == ["0", "0", "1", "2", "0"]
     assert lens_of_each("per-folder") == ["0", "0", "1", "2", "3"]
     assert len(set(lens_of_each("per-image"))) == 1  # Which COLMAP gives a camera each.
+
+
+@pytest.mark.parametrize("focal", [IFDRational(0, 0), "50.0 mm", (24.0, 35.0), -1.0])
+def test_a_focal_length_that_is_no_length_is_none(tmp_path: Path, focal: object):
+    for index in range(3):
+        _photograph(tmp_path / f"{index}.jpg", focal=focal)
+    lenses = sort_by_lens(find_photographs(tmp_path), "one")
+    assert len(lenses.names) == 3
+    assert lenses.notes == ()
+
+
+def test_photographs_of_200_megapixels_have_a_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    # Pillow refuses more than twice its limit.
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 100)
+    for index in range(3):
+        _photograph(tmp_path / f"{index}.jpg")
+    assert set(sort_by_lens(find_photographs(tmp_path), "one").sizes.values()) == {(32, 24)}
+    assert Image.MAX_IMAGE_PIXELS == 100
+
+
+def test_threads_and_seed_have_ranges():
+    with pytest.raises(ConfigError, match="--threads 0: expected 1 to"):
+        PosingOptions(threads=0)
+    for seed in (-1, 2**31):
+        with pytest.raises(ConfigError, match=f"--seed {seed}: expected 0 to"):
+            PosingOptions(seed=seed)
 
 
 # -- what came of it -------------------------------------------------------------------------------------------------

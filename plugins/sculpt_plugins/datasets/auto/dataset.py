@@ -1,5 +1,6 @@
 """The table of what can be recognised. A new layout is a row in it."""
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -151,7 +152,8 @@ def _is_unposed(data: str) -> bool:
 
 
 def _is_scene(folder: Path) -> bool:
-    return any(layout.recognises(folder) for layout in LAYOUTS)
+    """A folder that may not be looked into, as lost+found, is none."""
+    return os.access(folder, os.R_OK | os.X_OK) and any(layout.recognises(folder) for layout in LAYOUTS)
 
 
 def recognise(data: str) -> Layout:

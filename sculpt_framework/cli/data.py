@@ -1,6 +1,7 @@
 """``sculpt-data``: write demo scenes, look at a scene before training on it."""
 
 import argparse
+import os
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -146,7 +147,7 @@ def write_masks(folder: str, out: Path, downscale: int | None) -> list[str]:
         assert view.alpha is not None  # noqa: S101
         pixels = np.rint(view.alpha.numpy() * 255).astype(np.uint8)
         _write_picture(out / f"{inside[view.name]}.png", np.repeat(pixels[..., None], 3, axis=2))
-    sheet = out.with_name(f"{out.name}-sheet.png")
+    sheet = _sheet_of(out)
     _write_picture(sheet, contact_sheet(scene))
     return [
         f"{out}: {len(masked)} masks",
@@ -197,7 +198,7 @@ def write_depth_maps(folder: str, out: Path, pixels: int, downscale: int | None)
         found = scene_depths(scene, options, usual["cells"], lambda share: progress.update(task, completed=share))
     for each in found:
         write_depths(each, out)
-    sheet = out.with_name(f"{out.name}-sheet.png")
+    sheet = _sheet_of(out)
     _write_picture(sheet, depth_sheet(found))
     known = np.concatenate([each.known.reshape(-1) for each in found]).mean()
     return [
@@ -216,6 +217,12 @@ def _check_new(folder: Path) -> None:
 
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise OutputError(f"{folder}: exists and is not empty; give a new or an empty folder with --out.")
+
+
+def _sheet_of(out: Path) -> Path:
+    """Beside the folder, whatever it is called: ``.`` has no name."""
+    whole = Path(os.path.abspath(out))
+    return whole.with_name(f"{whole.name}-sheet.png")
 
 
 def _write_picture(path: Path, pixels: "np.ndarray") -> None:

@@ -68,7 +68,8 @@ def with_absolute_paths(config: MethodConfig) -> MethodConfig:
     """The config with paths that hold wherever it is resumed from. Names of demo scenes stay what they are."""
     is_path = config.data.partition(":")[0] != "demo" and os.path.exists(config.data)
     data = os.path.abspath(config.data) if is_path else config.data
-    return replace(config, data=data, reference=config.reference.absolute() if config.reference else None)
+    reference, replay = (path and path.absolute() for path in (config.reference, config.replay))
+    return replace(config, data=data, reference=reference, replay=replay)
 
 
 def _usable_cores() -> int:

@@ -1,5 +1,6 @@
 """Runs by name: found on disk, read, and told apart by what differs in their configurations."""
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +11,8 @@ from sculpt_framework.errors import DataError
 
 _OTHER_RUN_SAME_METHOD = ("version", "method", "seed", "data", "output", "reference", "device", "threads", "observers")
 """Parts of config.json that make another run, or watch one, but no other method."""
+_ASIDE = re.compile(r"\.aside-\d+$")
+"""Names of folders that hold what a run left before it started again."""
 _SHOWN_AT_MOST = 3
 """Differences in a name; more are counted."""
 
@@ -36,7 +39,8 @@ def read_runs(words: Sequence[str]) -> tuple[RunRecord, ...]:
 
 
 def run_folders(folder: Path) -> Iterator[Path]:
-    """The folder itself if it is a run directory, else the run directories in it, at any depth, by name.
+    """The folder itself if it is a run directory, else the run directories in it, at any depth, by name; without those
+    that were set aside for a run that started again.
 
     Raises DataError if there is no such folder.
     """
@@ -45,7 +49,8 @@ def run_folders(folder: Path) -> Iterator[Path]:
     if (folder / "config.json").is_file():
         yield folder
         return
-    yield from sorted({path.parent for path in folder.rglob("config.json")})
+    found = {path.parent for path in folder.rglob("config.json")}
+    yield from sorted(each for each in found if not any(map(_ASIDE.search, each.relative_to(folder).parts)))
 
 
 def told_apart(records: Sequence[RunRecord]) -> list[RunRecord]:

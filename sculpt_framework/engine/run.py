@@ -6,7 +6,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import FrameType
@@ -30,6 +30,7 @@ from sculpt_framework.evaluation.pictures import Picture
 from sculpt_framework.evaluation.report import write_report
 from sculpt_framework.events import Event
 from sculpt_framework.export.atomic import cannot_write, remove_partial_files, write_atomically
+from sculpt_framework.folder_lock import only_one
 from sculpt_framework.frame import WorldFrame, frame_of, write_frame
 from sculpt_framework.observers import Observer, SteeringObserver
 from sculpt_framework.parallel.processes import ProcessLost, gather, shared_commands
@@ -55,14 +56,21 @@ def run(config: MethodConfig, *, resume: Path | None, started: float) -> None:
     """
     if config.threads is not None:
         torch.set_num_threads(config.threads)
+    # Whatever ends the run, the folder is then free for another.
+    with ExitStack() as held:
+        _run(config, resume, started, held)
+
+
+def _run(config: MethodConfig, resume: Path | None, started: float, held: ExitStack) -> None:
     processes = gather(os.environ, pick_device(config.device))
     if resume is not None:
-        processes.first(lambda: remove_partial_files(resume))
         if run_status(resume) == "finished":
             processes.first(lambda: _tell_finished(resume))
             processes.close()
             return
+        processes.first(lambda: _take_up(resume, held))
     saved = None if resume is None else read_checkpoint(resume / CHECKPOINTS)
+    replay = [] if config.replay is None else read_recorded(config.replay)
     for observer in config.observers:
         observer.check_start()
     if resume is None:
@@ -86,21 +94,28 @@ def run(config: MethodConfig, *, resume: Path | None, started: float) -> None:
         scene, config, emit=emit, save_state=save_state, started=started, processes=processes, saved=saved
     )
     # The first process makes the folder, in which another may find what the first has written.
-    folder = Path(processes.first(lambda: str(_run_folder(session, frame, resume))))
+    folder = Path(processes.first(lambda: str(_run_folder(session, frame, resume, held))))
     try:
         with stop_on_interrupt() as stop_requested:
             if processes.leads:
                 observers += [observer.build(folder) for observer in config.observers]
             if session.plan is not None:
                 session.host.tell("plan", session.plan.values())
-            _train(session, folder, observers, stop_requested)
+            _train(session, folder, observers, replay, stop_requested)
     finally:
         for observer in observers:
             observer.close()
 
 
+def _take_up(folder: Path, held: ExitStack) -> None:
+    """Hold the folder of a run that goes on, and remove what it had half written."""
+    held.enter_context(only_one(folder, "stop it"))
+    remove_partial_files(folder)
+
+
 def _tell_finished(folder: Path) -> None:
     """Say where the results are; a run that was killed before its report was written gets that now."""
+    remove_partial_files(folder)
     if not (folder / REPORT_NAME).is_file():
         try:
             write_report(folder, load_finished(folder).pictures())
@@ -109,10 +124,11 @@ def _tell_finished(folder: Path) -> None:
     sys.stdout.write(f"{folder} has finished already; its mesh is {folder / MESH_NAME}\n")
 
 
-def _run_folder(session: Session, frame: WorldFrame | None, resume: Path | None) -> Path:
-    """The run directory, ready to be written to; a new one with what is known of the world frame."""
+def _run_folder(session: Session, frame: WorldFrame | None, resume: Path | None, held: ExitStack) -> Path:
+    """The run directory, ready to be written to; a new one, held from now on, with what is known of the world frame."""
     if resume is None:
         folder = prepare_output(session.config)
+        held.enter_context(only_one(folder, "give another --output"))
         write_atomically(folder / CONFIG_NAME, config_to_json(session.config).encode())
         if session.plan is not None:
             write_plan(session.plan, folder)
@@ -127,14 +143,20 @@ def _run_folder(session: Session, frame: WorldFrame | None, resume: Path | None)
     return folder
 
 
-def _train(session: Session, folder: Path, observers: Sequence[Observer], stop_requested: "StopFlag") -> None:
-    processes, config = session.host.processes, session.config
+def _train(
+    session: Session,
+    folder: Path,
+    observers: Sequence[Observer],
+    replay: Sequence[Recorded],
+    stop_requested: "StopFlag",
+) -> None:
+    processes = session.host.processes
     intervals = [o.snapshot_seconds for o in observers if o.snapshot_seconds is not None]
     steering = Steering(
         session,
         folder=folder,
         sources=shared_commands([o.take_commands for o in observers if isinstance(o, SteeringObserver)], processes),
-        replay=[] if config.replay is None else read_recorded(config.replay),
+        replay=replay,
         interrupted=lambda: processes.first(stop_requested),
         snapshot_seconds=min(intervals) if intervals else None,
     )

@@ -1,15 +1,11 @@
 """What became of each run of an experiment, kept on disk after every change."""
 
 import json
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from filelock import FileLock, Timeout
-
-from sculpt_framework.errors import ConfigError, OutputError
+from sculpt_framework.errors import ConfigError
 from sculpt_framework.export.atomic import write_atomically
 from sculpt_framework.export.json_text import json_text
 
@@ -54,22 +50,3 @@ class Ledger:
         self._states[name] = state
         document: dict[str, Any] = {"schema": LEDGER_SCHEMA, "cells": {n: asdict(s) for n, s in self._states.items()}}
         write_atomically(self._path, (json_text(document, indent=1) + "\n").encode())
-
-
-@contextmanager
-def only_one(folder: Path) -> Iterator[None]:
-    """Hold the folder for this process; the system lets go of it however the process ends.
-
-    Raises ConfigError if another process works in it, OutputError if it cannot be written.
-    """
-    lock = FileLock(folder / ".lock", mode=0o644)
-    try:
-        lock.acquire(blocking=False)
-    except Timeout:
-        raise ConfigError(f"another process works in {folder}; wait for it, or give another --out.") from None
-    except OSError as error:
-        raise OutputError(f"cannot write to {folder}: {error.strerror}; give another --out.") from error
-    try:
-        yield
-    finally:
-        lock.release()

@@ -1,5 +1,6 @@
 """``sculpt-ablate --plan``: what leaving things out has changed, error and time beside the run with everything on."""
 
+import math
 from collections.abc import Sequence
 
 from sculpt_framework.comparison.runs import RunRecord
@@ -32,10 +33,10 @@ def plan_table(results: Sequence[CellResult]) -> Table:
     rows, ratios = [], []
     for scene in dict.fromkeys(result.cell.scene for result in results):
         found = records(results, scene=scene)
-        error = {name: _median(found, name, "chamfer_ps") for name in LEVELS}
-        time = {name: _median(found, name, "t_train_s") for name in LEVELS}
-        work = {name: _median(found, name, "t_cpu_s") for name in LEVELS}
-        memory = {name: _median(found, name, "rss_mb") for name in LEVELS}
+        error = {name: _error(found, name) for name in LEVELS}
+        time = {name: _cost(found, name, "t_train_s") for name in LEVELS}
+        work = {name: _cost(found, name, "t_cpu_s") for name in LEVELS}
+        memory = {name: _cost(found, name, "rss_mb") for name in LEVELS}
         own = [_ratio(each) for each in (error, time, work)]
         ratios.append(own)
         cells = [scene]
@@ -69,11 +70,20 @@ def plan_notes() -> list[str]:
     ]
 
 
-def _median(found: Sequence[RunRecord], setting: str, name: str) -> float | None:
+def _error(found: Sequence[RunRecord], setting: str) -> float | None:
+    """A failure is infinitely wrong."""
+    values = [math.inf if each.failed else each.final.get("chamfer_ps") for each in found if each.method == setting]
+    return median([float(value) for value in values if value is not None])
+
+
+def _cost(found: Sequence[RunRecord], setting: str, name: str) -> float | None:
+    """Of the runs that did not fail: one that did has not cost what it would have."""
     values = [each.final.get(name) for each in found if each.method == setting and not each.failed]
     return median([float(value) for value in values if value is not None])
 
 
 def _ratio(values: dict[str, float | None]) -> float | None:
     planned, everything = values[PLANNED], values[EVERYTHING]
-    return None if planned is None or not everything else planned / everything
+    if planned is None or not everything or math.isinf(everything):
+        return None
+    return planned / everything

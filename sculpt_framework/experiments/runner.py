@@ -14,10 +14,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from types import FrameType
 
-from sculpt_framework.errors import OutputError
+from sculpt_framework.errors import CheckpointError, OutputError
 from sculpt_framework.experiments.launching import Engine, Job, LocalEngine, Order
-from sculpt_framework.experiments.ledger import CellState, Ledger, only_one
+from sculpt_framework.experiments.ledger import CellState, Ledger
 from sculpt_framework.experiments.matrix import Cell, Matrix, remember
+from sculpt_framework.folder_lock import only_one
 
 TRAIN = (sys.executable, "-c", "from sculpt_framework.cli.train import main; main()")
 """``sculpt-train`` of this installation, whatever is first on the path."""
@@ -95,7 +96,7 @@ def run_matrix(
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OutputError(f"cannot write to {folder}: {error.strerror}; give another --out.") from error
-    with only_one(folder), _terminate_as_interrupt():
+    with only_one(folder, "give another --out"), _terminate_as_interrupt():
         remember(matrix, folder)
         ledger = Ledger(folder)
         settled = {cell.name: state for cell in matrix.cells if (state := _settled(folder, cell, ledger, retry_failed))}
@@ -217,9 +218,22 @@ def _warm_up(matrix: Matrix, scene: str, folder: Path, board: Board, command: Se
 
 
 def _must_start_again(attempt: Attempt, code: int, folder: Path) -> bool:
-    """A run that was refused when it should go on: its checkpoint is damaged or of another version."""
-    ended = ended_as(run_folder(folder, attempt.cell))
-    return attempt.resumed and code == _USER_ERROR and ended != "finished"
+    """A run that was refused when it should go on, since its checkpoint is damaged or of another version. What else it
+    is refused for, such as no GPU here or a full disk, may pass, and its checkpoint is then needed."""
+    run_dir = run_folder(folder, attempt.cell)
+    return attempt.resumed and code == _USER_ERROR and ended_as(run_dir) != "finished" and not _goes_on(run_dir)
+
+
+def _goes_on(run_dir: Path) -> bool:
+    """Whether its checkpoint can be read."""
+    # Loads torch, which an experiment needs nowhere else.
+    from sculpt_framework.engine.checkpoint import read_checkpoint
+
+    try:
+        read_checkpoint(run_dir / "checkpoints")
+    except CheckpointError:
+        return False
+    return True
 
 
 def _judge(attempt: Attempt, code: int, folder: Path, before: CellState) -> CellState:

@@ -8,6 +8,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.measure import Measurement
 from rich.table import Table as RichTable
+from rich.text import Text
 
 UNKNOWN = "–"
 """What is shown where nothing is known."""
@@ -31,9 +32,10 @@ class Table:
     def show(self, console: Console) -> None:
         table = RichTable(title=self.title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
         for index, column in enumerate(self.columns):
-            table.add_column(column, justify="left" if index == 0 else "right", no_wrap=index == 0)
+            table.add_column(Text(column), justify="left" if index == 0 else "right", no_wrap=index == 0)
         for row in self.rows:
-            table.add_row(*row)
+            # A failure's text may have brackets that rich takes for markup.
+            table.add_row(*map(Text, row))
         # At its own width: a narrow terminal may break a line, but no figure is cut.
         width = console.width
         console.width = max(width, Measurement.get(console, console.options.update(max_width=_WIDEST), table).maximum)

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Float32, Float64, Int64
 
-from sculpt_framework.errors import ConfigError
+from sculpt_framework.errors import ConfigError, OutputError
 from sculpt_framework.export.atomic import write_atomically
 from sculpt_framework.export.glb import encode_glb
 from sculpt_framework.export.mesh_files import vertex_normals
@@ -50,16 +50,23 @@ def write_textured_glb(path: Path, mesh: TexturedMesh) -> None:
     write_atomically(path, encode_glb(blocks, atlas.faces, mesh.png))
 
 
+def check_textured_obj(path: Path) -> None:
+    """Raises ConfigError for a name that OBJ cannot hold, OutputError where files of another purpose would be lost."""
+    if any(letter.isspace() for letter in path.stem):
+        raise ConfigError(f"{path.name}: OBJ cannot name a material file with spaces; choose another --out.")
+    for beside in (path.with_suffix(".mtl"), path.with_suffix(".png")):
+        if beside.exists() and not path.exists():
+            raise OutputError(f"{beside} exists, and would be overwritten beside {path.name}; choose another --out.")
+
+
 def write_textured_obj(path: Path, mesh: TexturedMesh) -> list[Path]:
     """The mesh at ``path``, its material and picture beside it; returns all three.
 
     Positions are shared across the cuts, so that the mesh is as closed in other programs as it is here. The file that
-    refers to the others is written last. Raises OutputError where one cannot be written, ConfigError for a name that
-    the format cannot hold.
+    refers to the others is written last. Raises OutputError where one cannot be written, and as ``check_textured_obj``.
     """
+    check_textured_obj(path)
     material, picture = path.with_suffix(".mtl"), path.with_suffix(".png")
-    if any(letter.isspace() for letter in path.stem):
-        raise ConfigError(f"{path.name}: OBJ cannot name a material file with spaces; choose another --out.")
     write_atomically(picture, mesh.png)
     # No ambient light and no highlights: the colours are photographs.
     text = f"newmtl photographs\nKa 0 0 0\nKd 1 1 1\nKs 0 0 0\nillum 1\nmap_Kd {picture.name}\n"

@@ -15,6 +15,8 @@ def write_atomically(path: Path, content: bytes | Callable[[BinaryIO], None]) ->
     Whatever goes wrong, a file that was at ``path`` stays as it was and nothing is left beside it. Raises OutputError,
     naming ``path``, where the system refuses: disk full, no such folder, no permission.
     """
+    if not path.name:
+        raise OutputError(f"cannot write {path} (it is a folder); give the name of a file in it")
     aside = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
         try:
@@ -63,4 +65,4 @@ def remove_partial_files(folder: Path) -> None:
 def cannot_write(path: Path, error: OSError) -> OutputError:
     """The one line a user reads when the system refuses to write ``path``."""
     reason = error.strerror or str(error)
-    return OutputError(f"cannot write {path} ({reason}); free space or choose another place with --output")
+    return OutputError(f"cannot write {path} ({reason}); free space or choose another place for it")

@@ -152,9 +152,8 @@ def write_maps(
         length = np.linalg.norm(normal, axis=2, keepdims=True)
         code = np.rint((normal / np.maximum(length, 1e-12) + 1) * 32767.5).astype(np.uint16)
         code[~seen] = 0
-        name = view.name.replace("/", "_")
-        _write_image(folder / "depth" / f"{name}.tiff", depth)
-        _write_image(folder / "normal" / f"{name}.png", np.ascontiguousarray(code[:, :, ::-1]))
+        _write_image(folder / "depth" / f"{view.name}.tiff", depth)
+        _write_image(folder / "normal" / f"{view.name}.png", np.ascontiguousarray(code[:, :, ::-1]))
         progress(index + 1)
     return len(views)
 

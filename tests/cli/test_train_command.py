@@ -72,6 +72,12 @@ class TestRun:
         (tmp_path / "demo").mkdir()
         assert with_absolute_paths(replace(registry.load_method("fake")(), data=data)).data == data
 
+    def test_paths_hold_from_anywhere(self, monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+        monkeypatch.chdir(tmp_path)
+        config = replace(registry.load_method("fake")(), reference=Path("a.ply"), replay=Path("events.jsonl"))
+        absolute = with_absolute_paths(config)
+        assert (absolute.reference, absolute.replay) == (tmp_path / "a.ply", tmp_path / "events.jsonl")
+
     def test_cuda_must_be_there(self, monkeypatch: pytest.MonkeyPatch):
         import torch
 

@@ -94,3 +94,11 @@ def test_where_there_is_no_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, 
     monkeypatch.chdir(tmp_path)
     with pytest.raises(DataError, match=message):
         read_runs([word])
+
+
+def test_what_was_set_aside_is_no_run(tmp_path: Path):
+    write_run(tmp_path / "runs" / "jar" / "seed-0", ROWS)
+    write_run(tmp_path / "runs" / "jar" / "seed-0.aside-1", ROWS, status="stopped")
+    assert [run.folder for run in read_runs([str(tmp_path)])] == [tmp_path / "runs" / "jar" / "seed-0"]
+    # Unless it is asked for.
+    assert len(read_runs([str(tmp_path / "runs" / "jar" / "seed-0.aside-1")])) == 1

@@ -23,12 +23,13 @@ from sculpt_framework.engine.milestones import Milestones
 from sculpt_framework.engine.run import load_finished, run, run_status
 from sculpt_framework.engine.session import Session
 from sculpt_framework.engine.steering import Steering
-from sculpt_framework.errors import CheckpointError
+from sculpt_framework.errors import CheckpointError, ConfigError
 from sculpt_framework.evaluation.certificate import certify
 from sculpt_framework.evaluation.curve import read_curve
 from sculpt_framework.evaluation.evaluator import Evaluator
 from sculpt_framework.evaluation.mesh import load_mesh
 from sculpt_framework.events import Event
+from sculpt_framework.folder_lock import only_one
 from sculpt_framework.frame import WorldFrame, write_frame
 from sculpt_framework.reconstructor import Moment, StepReport
 from sculpt_framework.sculpting.method import Sculpting
@@ -240,7 +241,13 @@ def test_ctrl_c_saves_and_resume_ends_as_if_unbroken(
     assert certify(load_mesh(folder / "mesh.ply").vertices, load_mesh(folder / "mesh.ply").faces).watertight
     assert load_finished(folder).test_measures()["psnr"] > 10
 
+    half = folder / "checkpoints" / ".latest.safetensors.1.partial"
+    half.touch()
+    with only_one(folder, ""), pytest.raises(ConfigError, match="another process works in .*; wait for it, or stop it"):
+        run(config, resume=folder, started=0.0)
+    assert half.is_file()
     run(config, resume=folder, started=0.0)
+    assert not half.is_file()
     assert run_status(folder) == "finished"
     assert (folder / "mesh.ply").read_bytes() == (unbroken / "mesh.ply").read_bytes()
     times = [row["t_train_s"] for row in read_curve(folder / "curve.csv")]

@@ -277,6 +277,13 @@ def test_an_export_is_the_mesh_as_it_is(scene: Scene, tmp_path: Path):
     assert Path(run.actions[0].data["path"]).with_suffix(".glb").is_file()
 
 
+def test_an_export_that_cannot_be_written_is_refused(scene: Scene, tmp_path: Path):
+    (tmp_path / "exports").write_text("in the way")
+    run = Told(small_config(steps=3, stages=ONE_STAGE), scene, tmp_path, [(2, ExportMesh())])
+    assert "refused: cannot write" in run.actions[0].data["message"]
+    assert len(run.result.faces) > 0
+
+
 def test_a_replayed_run_ends_as_the_one_it_follows(scene: Scene, tmp_path: Path):
     config = small_config(steps=6, stages=ONE_STAGE)
     low, high = half(scene, upper=False)

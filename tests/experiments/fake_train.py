@@ -60,6 +60,12 @@ def act(seed: int, folder: Path, root: Path, resumed: bool) -> None:
         sys.exit(0)
     if seed == 14:
         meet(folder, root)
+    if seed == 17 and resumed:
+        sys.stderr.write("error: --device cuda: there is none here today\n")
+        sys.exit(2)
+    if seed == 17:
+        checkpoint(folder)
+        os.kill(os.getpid(), signal.SIGKILL)
     if seed == 15 and resumed:
         sys.stderr.write("error: the checkpoint is damaged\n")
         sys.exit(2)

@@ -9,13 +9,15 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
 from sculpt_framework.comparison.runs import RunRecord
 from sculpt_framework.experiments.ablation import FACTORS, Ablation, ablation
 from sculpt_framework.experiments.ablation_tables import ablation_tables, notes, times_default
 from sculpt_framework.experiments.ledger import CellState, Ledger
-from sculpt_framework.experiments.matrix import Budget, Matrix, MatrixScene, cross
+from sculpt_framework.experiments.matrix import Budget, Cell, Matrix, MatrixScene, cross
 from sculpt_framework.experiments.paper import ABLATION, NERF_SYNTHETIC, OMNIOBJECT3D, PaperTable
+from sculpt_framework.experiments.plan_check import plan_table
 from sculpt_framework.experiments.results import CellResult, read_results, results_csv
 from sculpt_framework.experiments.runner import run_folder
 from sculpt_framework.experiments.suite_tables import our_table, paper_table
@@ -194,5 +196,24 @@ def test_text():
     table = Table(title="T", columns=("a", "b"), rows=(("x|y", "1"),))
     assert table.markdown() == "### T\n\n| a | b |\n| --- | ---: |\n| x\\|y | 1 |\n"
     assert [number(value, 2) for value in (1.005, None, math.inf, math.nan)] == ["1.00", "–", "failed", "–"]
+    told = io.StringIO()
+    Table(title="T", columns=("a [x]",), rows=(("[/usr/lib/libx.so]",),)).show(Console(file=told, width=80))
+    assert "a [x]" in told.getvalue()
+    assert "[/usr/lib/libx.so]" in told.getvalue()
     assert number(0.0123, 1, times=100.0) == "1.2"
     assert [power(unit) for unit in (1e-2, 1e-3)] == ["1e-2", "1e-3"]
+
+
+def test_failures_count_in_the_table_of_plans():
+    def result(setting: str, seed: int, chamfer: float | None) -> CellResult:
+        cell = Cell(name=f"jar/{setting}/{seed}", scene="jar", setting=setting, budget=None, seed=seed, words=())
+        final = {} if chamfer is None else {"chamfer_ps": chamfer, "t_train_s": 10.0}
+        record = RunRecord(name=cell.name, scene="jar", method=setting, final=final, failed=chamfer is None)
+        return CellResult(cell=cell, state=CellState(status="finished"), record=record)
+
+    results = [result("planned", seed, None if seed else 0.01) for seed in range(3)]
+    results += [result("everything", seed, 0.01) for seed in range(3)]
+    (row, middle) = plan_table(results).rows
+    assert row[1:4] == ("failed", "1.000", "failed")
+    assert middle[3] == "failed"
+    assert row[4:7] == ("10.0", "10.0", "1.00")

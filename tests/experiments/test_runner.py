@@ -12,10 +12,12 @@ from pathlib import Path
 import pytest
 from conftest import HERE, SilentBoard, started
 
+from sculpt_framework.engine.checkpoint import Progress, write_checkpoint
 from sculpt_framework.errors import ConfigError, OutputError
-from sculpt_framework.experiments.ledger import CellState, Ledger, only_one
+from sculpt_framework.experiments.ledger import CellState, Ledger
 from sculpt_framework.experiments.matrix import Cell, Matrix, remember
 from sculpt_framework.experiments.runner import ended_as, last_error, run_folder, run_matrix
+from sculpt_framework.folder_lock import only_one
 
 MakeMatrix = Callable[..., Matrix]
 pytestmark = pytest.mark.usefixtures("fake_command")
@@ -150,6 +152,23 @@ def test_a_damaged_checkpoint_is_set_aside(make_matrix: MakeMatrix, board: Silen
     assert (tmp_path / "runs" / "scene" / "s15.aside-1" / "checkpoints").is_dir()
 
 
+def test_a_checkpoint_is_kept_where_something_else_is_in_the_way(
+    make_matrix: MakeMatrix, board: SilentBoard, tmp_path: Path
+):
+    matrix, run = make_matrix(17), tmp_path / "runs" / "scene" / "s17"
+    assert run_matrix(matrix, tmp_path, board)["scene/s17"].status == "failed"
+    begun = Progress(
+        outer=1, progress=0.1, trained_seconds=1.0, best_psnr=None, rate_scale=1.0, recoveries=0, milestones=[]
+    )
+    write_checkpoint(run / "checkpoints", {}, begun)
+    Ledger(tmp_path).set("scene/s17", CellState(status="interrupted", attempts=1))
+    state = run_matrix(matrix, tmp_path, board)["scene/s17"]
+    assert state.status == "failed"
+    assert "there is none here today" in str(state.error)
+    assert not list(run.parent.glob("*.aside-*"))
+    assert (run / "checkpoints" / "latest.safetensors").stat().st_size > 0
+
+
 def test_two_at_a_time_if_asked(make_matrix: MakeMatrix, board: SilentBoard, tmp_path: Path):
     (one,) = make_matrix(14).cells
     matrix = Matrix(title="Test", cells=(one, replace(one, name="scene/other")), warm_ups={})
@@ -190,7 +209,10 @@ def test_a_failed_warm_up_is_told(make_matrix: MakeMatrix, board: SilentBoard, t
 
 
 def test_one_runner_at_a_time(make_matrix: MakeMatrix, board: SilentBoard, tmp_path: Path):
-    with only_one(tmp_path), pytest.raises(ConfigError, match=r"another process works in .*--out"):
+    with (
+        only_one(tmp_path, "give another --out"),
+        pytest.raises(ConfigError, match=r"another process works in .*--out"),
+    ):
         run_matrix(make_matrix(0), tmp_path, board)
     run_matrix(make_matrix(0), tmp_path, board)
 

@@ -1,6 +1,7 @@
 """A file is whole or not there, also when the disk is full."""
 
 import errno
+import os
 from pathlib import Path
 from typing import BinaryIO
 
@@ -8,7 +9,7 @@ import pytest
 
 from sculpt_framework.errors import OutputError
 from sculpt_framework.export import atomic
-from sculpt_framework.export.atomic import write_atomically
+from sculpt_framework.export.atomic import link_or_copy, write_atomically
 
 
 def fill_the_disk(file: BinaryIO) -> None:
@@ -68,3 +69,23 @@ def test_a_fault_of_ours_passes_through_and_cleans_up(tmp_path: Path):
     with pytest.raises(ZeroDivisionError):
         write_atomically(tmp_path / "a", fail)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_without_a_name_is_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(OutputError, match=r"cannot write \. \(it is a folder\); give the name of a file in it"):
+        write_atomically(Path("."), b"one")
+
+
+def test_a_file_has_two_names_or_is_copied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    (tmp_path / "a").write_bytes(b"one")
+    assert link_or_copy(tmp_path / "a", tmp_path / "in" / "b").samefile(tmp_path / "a")
+
+    def refuse(source: Path, target: Path) -> None:
+        raise OSError(errno.EXDEV, "Invalid cross-device link")
+
+    monkeypatch.setattr(os, "link", refuse)
+    copied = link_or_copy(tmp_path / "a", tmp_path / "in" / "c")
+    assert copied.read_bytes() == b"one"
+    assert not copied.samefile(tmp_path / "a")
+    assert sorted(path.name for path in (tmp_path / "in").iterdir()) == ["b", "c"]

@@ -11,7 +11,7 @@ import trimesh
 from small_scene import ball, color_at, view_of_ball, views_of_ball
 
 from sculpt_framework.demo_scenes.cameras import demo_cameras
-from sculpt_framework.errors import ComponentImportError, ConfigError
+from sculpt_framework.errors import ComponentImportError, ConfigError, OutputError
 from sculpt_framework.export.assets import TexturedMesh, write_textured_glb, write_textured_obj
 from sculpt_framework.export.pictures import paint
 from sculpt_framework.export.texture import Atlas, bake, unwrap
@@ -156,6 +156,12 @@ def test_obj_stays_closed(textured: TexturedMesh, tmp_path: Path):
     assert sum(line.startswith("v ") for line in lines) == len(textured.vertices)
     with pytest.raises(ConfigError, match=r"my ball.obj: OBJ cannot name a material file with spaces"):
         write_textured_obj(tmp_path / "my ball.obj", textured)
+    # Its own files are written again, but those of others stay.
+    write_textured_obj(tmp_path / "a.obj", textured)
+    (tmp_path / "photo.png").write_bytes(b"mine")
+    with pytest.raises(OutputError, match=r"photo.png exists, and would be overwritten beside photo.obj"):
+        write_textured_obj(tmp_path / "photo.obj", textured)
+    assert (tmp_path / "photo.png").read_bytes() == b"mine"
 
 
 def test_sizes_and_a_missing_library(monkeypatch: pytest.MonkeyPatch):

@@ -1,7 +1,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from sculpt_framework.export.assets import write_textured_obj
+from sculpt_framework.export.assets import check_textured_obj, write_textured_obj
 from sculpt_framework.export.baking import bake_texture
 from sculpt_framework.export.mesh_files import write_mesh_obj
 from sculpt_framework.export.placing import FileFrame, place
@@ -15,6 +15,9 @@ class ObjExporter(Exporter):
 
     def write(self, run_dir: Path, out: Path) -> Sequence[str]:
         config = self._config
+        if config.texture:
+            # Baking takes its time.
+            check_textured_obj(out)
         mesh = place(run_dir, config, FileFrame(up="y"), config.unit)
         if not config.texture:
             write_mesh_obj(out, mesh.vertices, mesh.faces, mesh.colors)

@@ -108,9 +108,10 @@ def _run(config: MethodConfig, resume: Path | None, started: float, held: ExitSt
 
 
 def _take_up(folder: Path, held: ExitStack) -> None:
-    """Hold the folder of a run that goes on, and remove what it had half written."""
-    held.enter_context(only_one(folder, "stop it"))
-    remove_partial_files(folder)
+    """Hold the folder of a run that goes on, if it has checkpoints, and remove what it had half written."""
+    if (folder / CHECKPOINTS).is_dir():
+        held.enter_context(only_one(folder / CHECKPOINTS, "stop it"))
+        remove_partial_files(folder)
 
 
 def _tell_finished(folder: Path) -> None:
@@ -128,7 +129,6 @@ def _run_folder(session: Session, frame: WorldFrame | None, resume: Path | None,
     """The run directory, ready to be written to; a new one, held from now on, with what is known of the world frame."""
     if resume is None:
         folder = prepare_output(session.config)
-        held.enter_context(only_one(folder, "give another --output"))
         write_atomically(folder / CONFIG_NAME, config_to_json(session.config).encode())
         if session.plan is not None:
             write_plan(session.plan, folder)
@@ -140,6 +140,8 @@ def _run_folder(session: Session, frame: WorldFrame | None, resume: Path | None,
         (folder / CHECKPOINTS).mkdir(exist_ok=True)
     except OSError as error:
         raise cannot_write(folder / CHECKPOINTS, error) from error
+    if resume is None:
+        held.enter_context(only_one(folder / CHECKPOINTS, "stop it"))
     return folder
 
 

@@ -141,9 +141,12 @@ def write_maps(
 
     ``depth/NAME.tiff``: camera z in world units, 32-bit floats, 0 where there is no surface. ``normal/NAME.png``: world
     normal n as 65535 (n + 1) / 2 in 16 bits, red x, 0 where there is no surface. Returns the number of views; raises
-    OutputError where a file cannot be written.
+    OutputError where a file cannot be written. Folders in names become underscores, or stay if two names would be one.
     """
     normals = vertex_normals(vertices, faces)
+    names = [view.name.replace("/", "_") for view in views]
+    if len(set(names)) < len(views):
+        names = [view.name for view in views]
     for index, view in enumerate(views):
         pixels = draw_mesh(vertices, faces, view.camera)
         seen = pixels.face >= 0
@@ -152,8 +155,8 @@ def write_maps(
         length = np.linalg.norm(normal, axis=2, keepdims=True)
         code = np.rint((normal / np.maximum(length, 1e-12) + 1) * 32767.5).astype(np.uint16)
         code[~seen] = 0
-        _write_image(folder / "depth" / f"{view.name}.tiff", depth)
-        _write_image(folder / "normal" / f"{view.name}.png", np.ascontiguousarray(code[:, :, ::-1]))
+        _write_image(folder / "depth" / f"{names[index]}.tiff", depth)
+        _write_image(folder / "normal" / f"{names[index]}.png", np.ascontiguousarray(code[:, :, ::-1]))
         progress(index + 1)
     return len(views)
 

@@ -244,7 +244,7 @@ def test_ctrl_c_saves_and_resume_ends_as_if_unbroken(
     half = folder / "checkpoints" / ".latest.safetensors.1.partial"
     half.touch()
     with (
-        only_one(folder, ""),
+        only_one(folder / "checkpoints", ""),
         pytest.raises(ConfigError, match=r"another process works in .*; wait for it, or stop it"),
     ):
         run(config, resume=folder, started=0.0)

@@ -175,9 +175,10 @@ def _begin(scene: Path, key: str, source: Path, announce: Announcer) -> _State:
     if kept.is_file():
         try:
             said = json.loads(kept.read_text(encoding="utf-8"))
-            state = _State(**{**said, "frames": tuple(said["frames"])})
-        except (ValueError, TypeError, KeyError):
-            # Of another version, or damaged: whose images these are is not known.
+            # Earlier versions did not say whose the images are: then they may be the user's.
+            whose = {"source": said.get("source", ""), "inside": said.get("inside", True)}
+            state = _State(key=said["key"], frames=tuple(said["frames"]), seconds=said["seconds"], **whose)
+        except (ValueError, TypeError, KeyError, AttributeError):
             state = replace(new, key="", inside=True)
         if state.key == key:
             return replace(state, source=new.source, inside=inside)

@@ -135,6 +135,12 @@ def test_a_scene_of_other_photographs_is_not_begun_anew(tmp_path: Path):
         pose(first, tmp_path / "scene", PosingOptions(threads=2), Noted())
     with pytest.raises(OutputError, match=r"holds the cameras of .*first; give another folder"):
         pose(second, tmp_path / "scene", PosingOptions(threads=2), Noted())
+    # What an earlier version has begun with the same photographs goes on.
+    state = tmp_path / "scene" / ".posing" / "state.json"
+    said = json.loads(state.read_text())
+    state.write_text(json.dumps({name: said[name] for name in ("key", "frames", "seconds")}))
+    with pytest.raises(DataError, match="no cameras were found"):
+        pose(first, tmp_path / "scene", PosingOptions(threads=2), Noted())
     # Other options of the same photographs begin anew.
     with pytest.raises(DataError, match="no cameras were found"):
         pose(first, tmp_path / "scene", PosingOptions(threads=2, features=1000), Noted())

@@ -11,8 +11,8 @@ from sculpt_framework.errors import DataError
 
 _OTHER_RUN_SAME_METHOD = ("version", "method", "seed", "data", "output", "reference", "device", "threads", "observers")
 """Parts of config.json that make another run, or watch one, but no other method."""
-_ASIDE = re.compile(r"\.aside-\d+$")
-"""Names of folders that hold what a run left before it started again."""
+ASIDE = ".aside-"
+"""In names of folders that hold what a run left before it started again; a number follows."""
 _SHOWN_AT_MOST = 3
 """Differences in a name; more are counted."""
 
@@ -50,7 +50,8 @@ def run_folders(folder: Path) -> Iterator[Path]:
         yield folder
         return
     found = {path.parent for path in folder.rglob("config.json")}
-    yield from sorted(each for each in found if not any(map(_ASIDE.search, each.relative_to(folder).parts)))
+    aside = re.compile(rf"{re.escape(ASIDE)}\d+$")
+    yield from sorted(each for each in found if not any(map(aside.search, each.relative_to(folder).parts)))
 
 
 def told_apart(records: Sequence[RunRecord]) -> list[RunRecord]:

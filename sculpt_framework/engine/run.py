@@ -29,7 +29,7 @@ from sculpt_framework.evaluation.mesh import load_mesh
 from sculpt_framework.evaluation.pictures import Picture
 from sculpt_framework.evaluation.report import write_report
 from sculpt_framework.events import Event
-from sculpt_framework.export.atomic import cannot_write, remove_partial_files, write_atomically
+from sculpt_framework.export.atomic import make_folder, remove_partial_files, write_atomically
 from sculpt_framework.folder_lock import only_one
 from sculpt_framework.frame import WorldFrame, frame_of, write_frame
 from sculpt_framework.observers import Observer, SteeringObserver
@@ -136,10 +136,7 @@ def _run_folder(session: Session, frame: WorldFrame | None, resume: Path | None,
             write_frame(frame, folder)
     else:
         folder = resume
-    try:
-        (folder / CHECKPOINTS).mkdir(exist_ok=True)
-    except OSError as error:
-        raise cannot_write(folder / CHECKPOINTS, error) from error
+    make_folder(folder / CHECKPOINTS)
     if resume is None:
         held.enter_context(only_one(folder / CHECKPOINTS, "stop it"))
     return folder

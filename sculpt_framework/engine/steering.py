@@ -18,7 +18,7 @@ from sculpt_framework.commands import (
 )
 from sculpt_framework.engine.session import Session
 from sculpt_framework.errors import SculptError
-from sculpt_framework.export.atomic import cannot_write
+from sculpt_framework.export.atomic import make_folder
 from sculpt_framework.export.mesh_files import write_mesh_glb, write_mesh_ply
 from sculpt_framework.geometry.signed_distance import EmptySurfaceError
 
@@ -120,10 +120,7 @@ class Steering:
         with self._session.host.clock.pause():
             mesh = self._session.mesh()
             folder = self._folder / "exports"
-            try:
-                folder.mkdir(exist_ok=True)
-            except OSError as error:
-                raise cannot_write(folder, error) from error
+            make_folder(folder)
             stem = folder / f"mesh-step-{self._session.step:06d}"
             write_mesh_ply(stem.with_suffix(".ply"), mesh.vertices, mesh.faces, mesh.colors)
             write_mesh_glb(stem.with_suffix(".glb"), mesh.vertices, mesh.faces, mesh.colors)

@@ -21,7 +21,7 @@ from sculpt_framework.evaluation.visibility import Observed, seen_by, visible_di
 from sculpt_framework.experiments.matrix import Cell, Matrix
 from sculpt_framework.experiments.runner import ended_as, run_folder
 from sculpt_framework.experiments.suites import Suite
-from sculpt_framework.export.atomic import write_atomically
+from sculpt_framework.export.atomic import make_folder, write_atomically
 from sculpt_framework.export.json_text import json_text
 from sculpt_framework.types import Scene
 
@@ -172,7 +172,7 @@ def _measured(capture: Capture, task: Task) -> Measured:
 
 def _keep(task: Task, measured: Measured) -> None:
     document = {"schema": _SCHEMA, "mesh": _digest(task.mesh), **asdict(measured)}
-    task.kept.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(task.kept.parent)
     write_atomically(task.kept, (json_text(document, indent=1) + "\n").encode())
 
 

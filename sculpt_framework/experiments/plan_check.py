@@ -33,10 +33,10 @@ def plan_table(results: Sequence[CellResult]) -> Table:
     rows, ratios = [], []
     for scene in dict.fromkeys(result.cell.scene for result in results):
         found = records(results, scene=scene)
-        error = {name: _error(found, name) for name in LEVELS}
-        time = {name: _cost(found, name, "t_train_s") for name in LEVELS}
-        work = {name: _cost(found, name, "t_cpu_s") for name in LEVELS}
-        memory = {name: _cost(found, name, "rss_mb") for name in LEVELS}
+        error = {name: _median(found, name, "chamfer_ps", failed=math.inf) for name in LEVELS}
+        time = {name: _median(found, name, "t_train_s") for name in LEVELS}
+        work = {name: _median(found, name, "t_cpu_s") for name in LEVELS}
+        memory = {name: _median(found, name, "rss_mb") for name in LEVELS}
         own = [_ratio(each) for each in (error, time, work)]
         ratios.append(own)
         cells = [scene]
@@ -70,15 +70,9 @@ def plan_notes() -> list[str]:
     ]
 
 
-def _error(found: Sequence[RunRecord], setting: str) -> float | None:
-    """A failure is infinitely wrong."""
-    values = [math.inf if each.failed else each.final.get("chamfer_ps") for each in found if each.method == setting]
-    return median([float(value) for value in values if value is not None])
-
-
-def _cost(found: Sequence[RunRecord], setting: str, name: str) -> float | None:
-    """Of the runs that did not fail: one that did has not cost what it would have."""
-    values = [each.final.get(name) for each in found if each.method == setting and not each.failed]
+def _median(found: Sequence[RunRecord], setting: str, name: str, *, failed: float | None = None) -> float | None:
+    """A run that failed counts as ``failed``; as nothing by default: it has not cost what it would have."""
+    values = [failed if each.failed else each.final.get(name) for each in found if each.method == setting]
     return median([float(value) for value in values if value is not None])
 
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from types import FrameType
 
+from sculpt_framework.comparison.labels import ASIDE
 from sculpt_framework.errors import CheckpointError, OutputError
 from sculpt_framework.experiments.launching import Engine, Job, LocalEngine, Order
 from sculpt_framework.experiments.ledger import CellState, Ledger
@@ -266,7 +267,7 @@ def last_error(log: Path) -> str:
 def _set_aside(run_dir: Path) -> None:
     """Rename what there is of a run, so that it can start again and nothing is lost."""
     number = 1
-    while (target := run_dir.with_name(f"{run_dir.name}.aside-{number}")).exists():
+    while (target := run_dir.with_name(f"{run_dir.name}{ASIDE}{number}")).exists():
         number += 1
     run_dir.rename(target)
 

@@ -35,6 +35,14 @@ def write_atomically(path: Path, content: bytes | Callable[[BinaryIO], None]) ->
         raise cannot_write(path, error) from error
 
 
+def make_folder(folder: Path) -> None:
+    """The folder, and those above it, unless they are there. Raises OutputError where the system refuses."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise cannot_write(folder, error) from error
+
+
 def link_or_copy(source: Path, target: Path) -> Path:
     """``source`` under a second name as well, unless there is a file already: a link where the file system can, else a
     copy. Raises OSError where the system refuses."""

@@ -11,7 +11,7 @@ from jaxtyping import Float, Float64, Int64, UInt8
 
 from sculpt_framework.errors import ConfigError, OutputError
 from sculpt_framework.export.assets import TexturedMesh
-from sculpt_framework.export.atomic import cannot_write, write_atomically
+from sculpt_framework.export.atomic import cannot_write, make_folder, write_atomically
 from sculpt_framework.export.mesh_files import vertex_normals
 from sculpt_framework.export.mesh_pixels import MeshPixels, draw_mesh
 from sculpt_framework.types import Camera, View
@@ -165,8 +165,5 @@ def _write_image(path: Path, pixels: np.ndarray) -> None:
     done, data = cv2.imencode(path.suffix, pixels)
     if not done:
         raise ValueError(f"{path.name} cannot be encoded")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise cannot_write(path.parent, error) from error
+    make_folder(path.parent)
     write_atomically(path, data.tobytes())

@@ -11,7 +11,7 @@ from jaxtyping import Int64, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
 from sculpt_framework.errors import ConfigError, OutputError
-from sculpt_framework.export.atomic import cannot_write, write_atomically
+from sculpt_framework.export.atomic import make_folder, write_atomically
 from sculpt_framework.markers.boards import Board, dictionary_of
 
 PAPERS = {"a4": (210.0, 297.0), "letter": (215.9, 279.4), "a3": (297.0, 420.0), "tabloid": (279.4, 431.8)}
@@ -54,10 +54,7 @@ def write_sheet(path: Path, sheet: Sheet) -> None:
     page = Image.fromarray(sheet.pixels).convert("1", dither=Image.Dither.NONE)
     data = io.BytesIO()
     page.save(data, "PDF", resolution=PIXELS * 25.4, title=path.stem)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise cannot_write(path, error) from error
+    make_folder(path.parent)
     write_atomically(path, data.getvalue())
 
 

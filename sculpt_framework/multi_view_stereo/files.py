@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool, Float32, Float64, UInt8
 
 from sculpt_framework.errors import DataError
-from sculpt_framework.export.atomic import cannot_write, write_atomically
+from sculpt_framework.export.atomic import make_folder, write_atomically
 from sculpt_framework.multi_view_stereo.depth_maps import DepthMaps, StereoOptions, find_depths
 from sculpt_framework.shape_from_images.hull import visual_hull
 from sculpt_framework.shape_from_images.volume import sample, whole_box
@@ -93,10 +93,7 @@ def write_depths(found: ViewDepths, folder: Path) -> Path:
     NAME is the view's, folders included. Raises OutputError.
     """
     path = folder / f"{found.view.name}.npz"
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise cannot_write(path, error) from error
+    make_folder(path.parent)
     write_atomically(
         path,
         lambda file: np.savez_compressed(

@@ -188,6 +188,11 @@ class RoughCut:
     doubtful: Mask
     """What teaches no colours: taken for the object, but not seen to be."""
 
+    @property
+    def inside(self) -> Mask:
+        """What is inside of the rough outline."""
+        return (self.trimap == cv2.GC_FGD) | (self.trimap == cv2.GC_PR_FGD)
+
 
 def rough_cut(view: View, rough: Mask, sure: Mask, *, blind: bool) -> RoughCut:
     """Of some 640 pixels. Open is what is near the outline of a ``rough`` mask of any size, and where that is not
@@ -236,7 +241,7 @@ def cut_along(rough: RoughCut, background: Samples) -> Mask:
     trimap = rough.trimap
     without = not (trimap == cv2.GC_BGD).any() and not len(background)
     if without or not (trimap == cv2.GC_FGD).any() or not _open(trimap).any():
-        return (trimap == cv2.GC_FGD) | (trimap == cv2.GC_PR_FGD)
+        return rough.inside
     found = learned_cut(rough.image, trimap, _LEARNED, doubtful=rough.doubtful, background=background)
     return _cut_near(rough, found)
 
@@ -245,7 +250,7 @@ def _cut_near(rough: RoughCut, found: Mask) -> Mask:
     """``found`` with what is near the rough outline decided by the colours beside it: in overlapping windows, each by
     what is in it, weighted by nearness to its middle. Where object and background are of the same colours, the rough
     outline stays."""
-    start = (rough.trimap == cv2.GC_FGD) | (rough.trimap == cv2.GC_PR_FGD)
+    start = rough.inside
     near = _open(rough.trimap) & ~rough.doubtful
     labels = np.where(rough.doubtful, np.where(found, cv2.GC_FGD, cv2.GC_BGD), rough.trimap).astype(np.uint8)
     height, width = labels.shape

@@ -63,8 +63,8 @@ def find_photographs(folder: Path, besides: Path | None = None) -> Photographs:
         raise DataError(f"{folder}: {what}; expected a folder of photographs, or a video ({', '.join(VIDEOS)}).")
     root = next(iter(_image_folders(folder)), folder)
     files = {path for path in root.rglob("*") if path.suffix.lower() in PHOTOGRAPHS and path.is_file()}
-    if besides is not None and root.resolve() in besides.resolve().parents:
-        files = {path for path in files if besides.resolve() not in path.resolve().parents}
+    if besides is not None and root.resolve() in (own := besides.resolve()).parents:
+        files = {path for path in files if own not in path.resolve().parents}
     by_folder = groupby(sorted(file for file in files if not _set_aside(file.relative_to(root))), lambda at: at.parent)
     paths = sorted(path for _, beside in by_folder for path in without_masks(list(beside)))
     # What an earlier call has made of a file beside it is not another photograph.

@@ -41,6 +41,9 @@ _SURE = 4
 _WORST = 0.6
 """1 - NCC, and what the views disagree by, above which no depth is believed."""
 
+Bounds = tuple[Float32[np.ndarray, "v h w"], Float32[np.ndarray, "v h w"]]
+"""Nearest and farthest depth of each pixel of each view; 0 where there is nothing."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class StereoOptions:
@@ -141,10 +144,11 @@ def find_depths(
     stack, planes = stereo_views(views, sides[-1] / 2), None
     for side in reversed(sides):
         if planes is None:
-            planes, rounds = _blank(stack, solid, options.beyond), _FIRST
+            planes, rounds = _blank(stack, _bounds(stack, solid, options.beyond)), _FIRST
         else:
             finer = stereo_views(views, side / 2)
-            planes, stack, rounds = _at_finer(planes, stack, finer), finer, _FINER
+            planes = _at_finer(planes, stack, finer, _bounds(finer, solid, options.beyond))
+            stack, rounds = finer, _FINER
         others = stack.neighbours(options.neighbours)
         for number, each in enumerate(rounds):
             share = side**2 * each.sweeps / work / max(1, len(stack))
@@ -168,9 +172,7 @@ class _Adder:
             self._tell(min(1.0, self._sum))
 
 
-def depth_bounds(
-    stack: StereoViews, full: Bool[np.ndarray, "x y z"], volume: Volume
-) -> tuple[Float32[np.ndarray, "v h w"], Float32[np.ndarray, "v h w"]]:
+def depth_bounds(stack: StereoViews, full: Bool[np.ndarray, "x y z"], volume: Volume) -> Bounds:
     """Nearest and farthest depth at which a pixel's ray meets what is ``full`` of the volume's cells, a cell more on
     both sides; 0 where it does not, or where the view shows nothing of the object."""
     shape = stack.luminance.shape
@@ -187,12 +189,17 @@ def depth_bounds(
     return nearest, farthest
 
 
-def _blank(stack: StereoViews, solid: Volume, beyond: bool) -> _Planes:
-    """Nothing known but where along each ray there is something solid, and whether there may be something behind it."""
-    shape = stack.luminance.shape
+def _bounds(stack: StereoViews, solid: Volume, beyond: bool) -> Bounds:
+    """Between which depths there is something solid along each ray, and whether there may be something behind it."""
     nearest, farthest = depth_bounds(stack, solid.values < solid.cell, solid)
     if beyond:
         farthest[farthest > 0] = _FARTHEST
+    return nearest, farthest
+
+
+def _blank(stack: StereoViews, bounds: Bounds) -> _Planes:
+    """Nothing known but these."""
+    shape, (nearest, farthest) = stack.luminance.shape, bounds
     return _Planes(
         depths=np.zeros(shape, np.float32),
         normals=np.zeros((*shape, 3), np.float32),
@@ -202,16 +209,16 @@ def _blank(stack: StereoViews, solid: Volume, beyond: bool) -> _Planes:
     )
 
 
-def _at_finer(planes: _Planes, coarse: StereoViews, fine: StereoViews) -> _Planes:
-    """The planes of the pixels that lie under those of finer images."""
+def _at_finer(planes: _Planes, coarse: StereoViews, fine: StereoViews, bounds: Bounds) -> _Planes:
+    """The planes of the pixels that lie under those of finer images, as far as they are within the ``bounds`` there."""
     shape = fine.luminance.shape
     height, width = coarse.luminance.shape[1:]
     made = _Planes(
         depths=np.empty(shape, np.float32),
         normals=np.empty((*shape, 3), np.float32),
         costs=np.ones(shape, np.float32),
-        nearest=np.empty(shape, np.float32),
-        farthest=np.empty(shape, np.float32),
+        nearest=bounds[0],
+        farthest=bounds[1],
     )
     for i in range(len(fine)):
         ratio = coarse.lenses[i, :2] / fine.lenses[i, :2]
@@ -219,7 +226,7 @@ def _at_finer(planes: _Planes, coarse: StereoViews, fine: StereoViews) -> _Plane
         rows = (np.arange(shape[1]) + 0.5 - fine.lenses[i, 3]) * ratio[1] + coarse.lenses[i, 3]
         under = np.ix_(np.clip(rows.astype(np.int64), 0, height - 1), np.clip(columns.astype(np.int64), 0, width - 1))
         made.depths[i], made.normals[i] = planes.depths[i][under], planes.normals[i][under]
-        made.nearest[i], made.farthest[i] = planes.nearest[i][under], planes.farthest[i][under]
+        made.depths[i][(made.depths[i] < made.nearest[i]) | (made.depths[i] > made.farthest[i])] = 0
     return made
 
 

@@ -24,7 +24,7 @@ def object_box(name: str, low: Sequence[float], high: Sequence[float], scene_box
 
     Raises ConfigError, which calls it by ``name``, if it misses the scene's box.
     """
-    corners = torch.tensor([low, high], dtype=torch.get_default_dtype())
+    corners = torch.tensor([low, high], dtype=torch.float64)
     if bool((corners[0] >= scene_box.maximum).any() | (corners[1] <= scene_box.minimum).any()):
         numbers = [f"{number:g}" for number in (*low, *high)]
         bounds = [f"{number:.4g}" for number in (*scene_box.minimum.tolist(), *scene_box.maximum.tolist())]

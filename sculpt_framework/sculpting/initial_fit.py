@@ -74,4 +74,4 @@ def start_mesh(target: SdfFunction, box: Box, cells: int) -> Mesh:
     config = registry.default("extractor", "marching-tetrahedra")
     assert isinstance(config, ExtractorConfig)  # noqa: S101
     surface = start_surface(target, config.build(grid, device), device)
-    return Mesh(vertices=box.to_world(surface.vertices).double().numpy(), faces=surface.faces.numpy())
+    return Mesh(vertices=box.to_world(surface.vertices.double()).numpy(), faces=surface.faces.numpy())

@@ -48,12 +48,13 @@ def polish(
     watched = [(0.0, score)]
     kept = [tensor.detach().clone() for tensor in learning] if judge else []
     told, began = [], time.monotonic()
-    for done in range(CHUNK, config.polish_steps + CHUNK, CHUNK):
+    for before in range(0, config.polish_steps, CHUNK):
+        done = min(before + CHUNK, config.polish_steps)
         # Of the time there is, or of the steps: what ends first.
         if (timed := first(lambda: _passed(began, deadline))) >= 1.0:
             break
         passed = min(1.0, max(timed, done / config.polish_steps))
-        trainer.inner_loop(surface, images, CHUNK, rate_factor=first_rate * (last / first_rate) ** passed)
+        trainer.inner_loop(surface, images, done - before, rate_factor=first_rate * (last / first_rate) ** passed)
         if judge is None:
             continue
         score = judge(object_gaussians(trainer.scene, surface))

@@ -1,8 +1,9 @@
 """What a person may tell the bi-level method while it runs: weights, rates, and boxes to treat otherwise."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TypeVar
 
 from sculpt_framework.commands import AddBox, ClearBoxes, Command, SetRate, SetWeight, SwitchConstraint
 from sculpt_framework.errors import ConfigError
@@ -11,7 +12,10 @@ from sculpt_framework.sculpting.assembly import Parts, refine_boxes, refine_in
 from sculpt_framework.sculpting.boxes import freeze, object_box, read_frozen, write_frozen
 from sculpt_framework.sculpting.config import SculptingConfig
 from sculpt_framework.sculpting.trainer import Objectives
+from sculpt_framework.sculpting.view_gradients import Weighted
 from sculpt_framework.types import Box
+
+Term = TypeVar("Term")
 
 
 class Wishes:
@@ -111,7 +115,7 @@ class Wishes:
 
 def term_names(objectives: Objectives) -> dict[str, list[str]]:
     """The names of the terms whose weights can be set, by slot."""
-    losses = (*objectives.images, *objectives.geometry)
+    losses = (*objectives.images, *objectives.geometry, *objectives.views)
     return {
         "losses": [objective.name for objective in losses],
         "constraints": [objective.name for objective in objectives.constraints],
@@ -120,11 +124,16 @@ def term_names(objectives: Objectives) -> dict[str, list[str]]:
 
 def reweighted(objectives: Objectives, weights: Mapping[tuple[str, str], float], off: set[str]) -> Objectives:
     """The objectives with other weights for terms named by slot and name, and without the constraints in ``off``."""
+
+    def weighed(terms: Sequence[Weighted[Term]]) -> list[Weighted[Term]]:
+        return [replace(o, weight=weights.get(("losses", o.name), o.weight)) for o in terms]
+
     return replace(
         objectives,
-        images=[replace(o, weight=weights.get(("losses", o.name), o.weight)) for o in objectives.images],
-        silhouettes=[replace(o, weight=weights.get(("losses", o.name), o.weight)) for o in objectives.silhouettes],
-        geometry=[replace(o, weight=weights.get(("losses", o.name), o.weight)) for o in objectives.geometry],
+        images=weighed(objectives.images),
+        silhouettes=weighed(objectives.silhouettes),
+        geometry=weighed(objectives.geometry),
+        views=weighed(objectives.views),
         constraints=[
             replace(o, weight=weights.get(("constraints", o.name), o.weight))
             for o in objectives.constraints

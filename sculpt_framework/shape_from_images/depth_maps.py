@@ -21,6 +21,8 @@ _TOLERANCE = 1.5
 """Depths are the same within so many steps of the sweep."""
 _WORST = 0.06
 """Mean difference of colours above which no depth is believed; colours are in [0, 1]."""
+_NEAREST = 0.02
+"""Of the camera's distance from the origin, the least depth."""
 _BEST_OF = 3
 """Of the views compared with, the best matching ones that count: the others may not see the point."""
 _AMBIGUITY = 1.5
@@ -62,12 +64,12 @@ def find_depths(views: PackedViews, solid: Volume, options: SweepOptions) -> Dep
     steps = []
     swept = set(np.linspace(0, len(views) - 1, min(options.views, len(views))).round().astype(int).tolist())
     for i, others in enumerate(views.neighbours(options.neighbours, _ANGLE, _ANGLES)):
+        middle, least = _depth_of_origin(views, i)
+        near, far = max(middle - radius, least), middle + radius
         if i not in swept or len(others) < _BEST_OF:
             continue
-        distance = float(np.linalg.norm(views.positions[i]))
-        near, far = max(distance - radius, 0.02 * distance), distance + radius
         inverse = np.linspace(1 / near, 1 / far, options.depths).astype(np.float32)
-        steps.append(distance**2 * (1 / near - 1 / far) / (options.depths - 1))
+        steps.append(middle**2 * (1 / near - 1 / far) / (options.depths - 1))
         sweep(
             views.colors,
             views.inside,
@@ -112,7 +114,7 @@ def refine_depths(fine: PackedViews, views: PackedViews, maps: DepthMaps, option
             fine.relative(i, others),
             maps.depths[i],
             views.lenses[i],
-            np.float32(step / float(np.linalg.norm(fine.positions[i])) ** 2),
+            np.float32(step / _depth_of_origin(fine, i)[0] ** 2),
             int(np.ceil(maps.step / step)),
             _BEST_OF,
             np.float32(_WORST),
@@ -121,6 +123,13 @@ def refine_depths(fine: PackedViews, views: PackedViews, maps: DepthMaps, option
         )
     exact = _agreed(fine, depths, options.agreeing, tolerance=_TOLERANCE * step)
     return _depth_maps(np.where(np.isfinite(exact), exact, coarse), fine, step)
+
+
+def _depth_of_origin(views: PackedViews, i: int) -> tuple[float, float]:
+    """Along the camera's axis, which need not pass through it; and the least depth that counts, which it never is less
+    than."""
+    least = _NEAREST * float(np.linalg.norm(views.positions[i]))
+    return max(float(views.poses[i, 2, 3]), least), least
 
 
 def _agreed(

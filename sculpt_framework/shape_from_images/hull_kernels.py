@@ -119,6 +119,16 @@ def _look_beyond(points, lens, size, per_depth, least):
         least[n] = min(least[n], pixels * depth * per_depth)
 
 
+@njit(**_OPTIONS)
+def _ahead(points, n, lenses):
+    """Whether a point is in front of any camera."""
+    for view in range(lenses.shape[0]):
+        lens = lenses[view]
+        if lens[8] * points[0, n] + lens[9] * points[1, n] + lens[10] * points[2, n] + lens[11] > _NEAR:
+            return True
+    return False
+
+
 @njit(parallel=True, **_OPTIONS)
 def carve(points, outlines, starts, lenses, per_depth, sizes, is_open, nearest, furthest, distances):
     """Fill ``distances`` with the largest that any view's silhouette gives a point, between ``nearest`` and
@@ -127,8 +137,9 @@ def carve(points, outlines, starts, lenses, per_depth, sizes, is_open, nearest, 
     ``outlines`` has the views' signed distances in pixels, one after the other from ``starts`` on, in rows, with a row
     and a column more than ``sizes`` says. ``lenses`` lead to pixels, ``per_depth`` from pixels at depth 1 to lengths. A
     view says nothing about what is behind it, nor, where its silhouette ``is_open`` to the border, of what lies beyond.
-    Beyond the border of others nothing is nearer than this: the silhouette is inside. Where all are open, nothing is
-    known of what no image shows: it is outside, as far away as the nearest image's edge.
+    Beyond the border of others nothing is nearer than this: the silhouette is inside. What is behind all views is
+    outside. Where all are open, nothing is known of what no image shows: it is outside, as far away as the nearest
+    image's edge.
     """
     count, all_open = points.shape[1], is_open.all()
     for block in prange((count + _BLOCK - 1) // _BLOCK):
@@ -153,5 +164,7 @@ def carve(points, outlines, starts, lenses, per_depth, sizes, is_open, nearest, 
             for n in range(end - begin):
                 most[n] = max(most[n], least[n])
         for n in range(end - begin):
+            if most[n] <= nearest and not _ahead(some, n, lenses):
+                most[n] = furthest
             known = abs(some[0, n]) + abs(some[1, n]) + abs(some[2, n]) <= _LARGEST
             most[n] = min(most[n], furthest) if known else _NAN

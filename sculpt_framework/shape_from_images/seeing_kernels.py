@@ -8,11 +8,12 @@ _HALF, _NEAR = np.float32(0.5), np.float32(1e-6)
 
 
 @njit(forceinline=True, **_OPTIONS)
-def _free(inside, start, way, origin, cell, first):
-    """Whether a ray of unit direction meets nothing ``inside`` from ``first`` cells on until it leaves the volume."""
+def _free(inside, start, way, length, origin, cell, first):
+    """Whether a ray of unit direction meets nothing ``inside`` from ``first`` cells on, for as long as it is or until
+    it leaves the volume."""
     step = _HALF * cell
     reached = first * cell
-    while True:
+    while reached < length:
         i = np.int32(np.floor((start[0] + reached * way[0] - origin[0]) / cell))
         j = np.int32(np.floor((start[1] + reached * way[1] - origin[1]) / cell))
         k = np.int32(np.floor((start[2] + reached * way[2] - origin[2]) / cell))
@@ -21,6 +22,7 @@ def _free(inside, start, way, origin, cell, first):
         if inside[i, j, k]:
             return False
         reached += step
+    return True
 
 
 @njit(parallel=True, **_OPTIONS)
@@ -46,7 +48,7 @@ def count_seeing(points, poses, lenses, sizes, positions, inside, origin, cell, 
             length = np.sqrt(length)
             for k in range(3):
                 way[k] /= length
-            counts[n] += _free(inside, point, way, origin, cell, first)
+            counts[n] += _free(inside, point, way, length, origin, cell, first)
 
 
 @njit(parallel=True, **_OPTIONS)

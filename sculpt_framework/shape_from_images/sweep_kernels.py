@@ -342,10 +342,12 @@ def _clear(solid, origin, cell, x, y, z, camera):
     di, dj, dk = dx / length, dy / length, dz / length
     i, j, k = (x - origin[0]) / cell, (y - origin[1]) / cell, (z - origin[2]) / cell
     i, j, k = i + 2 * di, j + 2 * dj, k + 2 * dk
-    while 0 <= i < solid.shape[0] and 0 <= j < solid.shape[1] and 0 <= k < solid.shape[2]:
+    left = length / cell - 2
+    # What is behind a camera within the volume hides nothing from it.
+    while left > 0 and 0 <= i < solid.shape[0] and 0 <= j < solid.shape[1] and 0 <= k < solid.shape[2]:
         if solid[int(i), int(j), int(k)]:
             return False
-        i, j, k = i + di, j + dj, k + dk
+        i, j, k, left = i + di, j + dj, k + dk, left - 1
     return True
 
 

@@ -38,6 +38,7 @@ from sculpt_framework.export.mesh_files import read_colored_mesh
 from sculpt_framework.sculpting.boxes import untaught
 from sculpt_framework.sculpting.reconstruction import Reconstruction
 from sculpt_framework.types import Box, Scene
+from sculpt_plugins.losses.consistency.config import ConsistencyConfig
 from sculpt_plugins.observers.recorder.observer import event_line
 
 EVERYTHING: tuple[Command, ...] = (
@@ -182,6 +183,14 @@ def test_weights_constraints_and_rates_do_what_they_say(scene: Scene, tmp_path: 
     after = run.method.trainer.field.state_dict()
     assert np.isfinite(report.loss)
     assert all(bool((before[name] == after[name]).all()) for name in before)
+
+
+def test_a_term_that_compares_photographs_has_a_weight_too_and_costs_nothing_without(scene: Scene, tmp_path: Path):
+    config = small_config(steps=3, stages=ONE_STAGE)
+    config = replace(config, losses=(*config.losses, ConsistencyConfig(views=1, partners=1)))
+    run = Told(config, scene, tmp_path, [(1, SetWeight(slot="losses", name="consistency", weight=0.0))])
+    assert not any(event.data.get("refused") for event in run.actions)
+    assert ["consistency" in event.data["terms"] for event in run.steps] == [True, False, False]
 
 
 def test_what_does_not_fit_the_run_is_refused_and_changes_nothing(scene: Scene, tmp_path: Path):

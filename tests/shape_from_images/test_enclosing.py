@@ -56,6 +56,17 @@ def test_what_is_seen_stays():
     assert (shape.values < 0)[closed.values < 0].all()
 
 
+def test_what_is_behind_a_camera_hides_nothing_from_it():
+    x, _, _ = centers()
+    cameras = [camera_from((0.85 * np.cos(t), 0.85 * np.sin(t), 0.1), (200, 200)) for t in (-0.3, 0.0, 0.3)]
+    alone = slab()
+    walled = volume(np.where(x > 0.95, np.minimum(alone.values.reshape(-1), 0.95 - x), alone.values.reshape(-1)))
+    before = (x < 0.8).reshape(alone.shape)
+    found = [(enclosed(shape, cameras).values < 0)[before] for shape in (alone, walled)]
+    assert found[0].any()
+    assert (found[0] == found[1]).all()
+
+
 def test_what_stands_apart_and_no_two_images_show_goes():
     x, y, z = centers()
     far_off = np.maximum(np.maximum(np.abs(y), np.abs(z - 0.9)) - 0.08, np.abs(x - 0.2) - 0.3)

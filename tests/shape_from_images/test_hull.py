@@ -86,10 +86,17 @@ def test_points_that_no_view_can_place():
     behind, far, at_camera, no_number = hull(
         torch.tensor([[9.0, 0.0, 0.0], [-1e6, 1e6, 0.0], [3.0, 0.0, 0.0], [0.0, torch.nan, 0.0]])
     ).tolist()
-    assert behind == -4.0
-    assert far == 0.5
-    assert at_camera == -4.0
+    assert behind == far == at_camera == 0.5
     assert np.isnan(no_number)
+
+
+def test_what_is_behind_all_cameras_is_outside():
+    views = [ball_view((0.9, y, 0.1), (60, 60), 0.3) for y in (-0.3, 0.0, 0.3)]
+    hull = visual_hull(views, 10.0, CPU)
+    inside, behind, beside = hull(torch.tensor([[0.0, 0.0, 0.0], [2.0, 0.1, 0.1], [0.95, 3.0, 0.1]])).tolist()
+    assert inside < 0
+    assert behind > 0
+    assert beside > 0
 
 
 def test_a_view_of_one_pixel():

@@ -69,7 +69,21 @@ def test_photo_hull_digs_what_no_silhouette_shows(views):
     assert np.abs(target(points).numpy() - truth(dense.points))[side].mean() < 0.02
 
 
-def test_depths_are_right(views):
+def aside(view: View) -> View:
+    """The same, turned aside by 25 degrees in a wider image."""
+    angle = np.radians(25.0)
+    turn = torch.eye(4, dtype=torch.float64)
+    turn[[0, 2], [0, 2]], turn[0, 2], turn[2, 0] = np.cos(angle), np.sin(angle), -np.sin(angle)
+    pose = (turn @ view.camera.world_to_camera.double()).float()
+    camera = replace(view.camera, world_to_camera=pose, width=2 * SIDE)
+    rgb, alpha = render(BALL, camera)
+    return replace(view, camera=camera, rgb=torch.from_numpy(rgb), alpha=torch.from_numpy(alpha))
+
+
+@pytest.mark.parametrize("seen", [lambda view: view, aside])
+def test_depths_are_right(views: list[View], seen: Callable[[View], View]):
+    """Also where the object is not in the middle of the images: depths are along the axis."""
+    views = [seen(view) for view in views]
     packed = pack_views(views, 32.0)
     maps = find_depths(packed, sample(visual_hull(views, 100, CPU), (1.0, 1.0, 1.0), 64, CPU), OPTIONS)
     assert maps.known > 0.7

@@ -28,7 +28,7 @@ class PhotoHullConfig(InitializerConfig):
     """Views that get a depth map, spread evenly."""
     depths: Annotated[int, at_least(2)] = 64
     """Depths tried across the object, per pixel."""
-    neighbours: Annotated[int, at_least(1)] = 8
+    neighbours: Annotated[int, at_least(3)] = 8
     """Views each view is compared with."""
     agreeing: Annotated[int, at_least(0)] = 2
     """Views that must have the same depth for it to be believed."""

@@ -2,7 +2,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
 from sculpt_framework.config import LossConfig
-from sculpt_framework.ranges import at_least
+from sculpt_framework.ranges import at_least, require
 
 if TYPE_CHECKING:
     from sculpt_plugins.losses.consistency.loss import Consistency
@@ -18,8 +18,11 @@ class ConsistencyConfig(LossConfig):
     """Photographs looked at in an outer step."""
     partners: Annotated[int, at_least(1)] = 2
     """Neighbours each of them is compared with."""
-    window: Annotated[int, at_least(1)] = 7
-    """Pixels along the sides of the windows that are correlated."""
+    window: Annotated[int, at_least(3)] = 7
+    """Pixels along the sides of the windows that are correlated, an odd number."""
+
+    def check(self, option: str) -> None:
+        require(self.window % 2 == 1, f"{option}.window", self.window, "an odd number")
 
     def build(self) -> "Consistency":
         from sculpt_plugins.losses.consistency.loss import Consistency

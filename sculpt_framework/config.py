@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     import torch
 
     from sculpt_framework.appearances import Appearance
+    from sculpt_framework.backgrounds import Background
     from sculpt_framework.binders import Binder
     from sculpt_framework.constraints import Constraint
     from sculpt_framework.datasets import Dataset
@@ -73,6 +74,21 @@ class AppearanceConfig(ComponentConfig, ABC):
 class RasterizerConfig(ComponentConfig, ABC):
     @abstractmethod
     def build(self, device: "torch.device") -> "Rasterizer": ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class BackgroundConfig(ComponentConfig, ABC):
+    @abstractmethod
+    def build(self, device: "torch.device") -> "Background | None":
+        """None: what is around the object is not looked at."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoBackgroundConfig(BackgroundConfig):
+    """Masks leave out what is around the object; costs nothing."""
+
+    def build(self, device: "torch.device") -> "Background | None":
+        return None
 
 
 @dataclass(frozen=True, kw_only=True)

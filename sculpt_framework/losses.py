@@ -41,6 +41,8 @@ class TrainingImage:
     premultiplied: Float[Tensor, "h w 3"]
     """Colour times alpha; plain colour where there is no mask."""
     alpha: Float[Tensor, "h w"] | None
+    photograph: Float[Tensor, "h w 3"] | None = None
+    """The colours with what is around the object; None where that is not looked at."""
 
     def over(self, background: Float[Tensor, " 3"]) -> Target:
         """What a rendering over this background should look like."""
@@ -48,6 +50,11 @@ class TrainingImage:
             return Target(rgb=self.premultiplied, alpha=None, name=self.name, camera=self.camera)
         rgb = self.premultiplied + (1 - self.alpha)[..., None] * background
         return Target(rgb=rgb, alpha=self.alpha, name=self.name, camera=self.camera, background=background)
+
+    def whole(self) -> Target:
+        """What a rendering with all that is around the object should look like."""
+        assert self.photograph is not None, "it was not kept"  # noqa: S101
+        return Target(rgb=self.photograph, alpha=self.alpha, name=self.name, camera=self.camera)
 
 
 class Term:

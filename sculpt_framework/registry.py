@@ -17,6 +17,7 @@ from typing import cast, get_type_hints
 
 from sculpt_framework.config import (
     AppearanceConfig,
+    BackgroundConfig,
     BinderConfig,
     ComponentConfig,
     ConstraintConfig,
@@ -65,6 +66,7 @@ SLOTS: Mapping[str, Slot] = {
         Slot(name="binder", one="binder", base=BinderConfig),
         Slot(name="appearance", one="appearance", base=AppearanceConfig),
         Slot(name="rasterizer", one="rasterizer", base=RasterizerConfig),
+        Slot(name="background", one="background", base=BackgroundConfig),
         Slot(name="initializer", one="initializer", base=InitializerConfig),
         Slot(name="dataset", one="dataset", base=DatasetConfig),
         Slot(name="losses", one="loss", base=LossConfig, many=True),

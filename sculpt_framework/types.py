@@ -156,6 +156,8 @@ class Scene:
     """One line each for whatever was unusual in the input and what is done about it."""
     up: tuple[float, float, float] | None = None
     """The side that the plane the object stands on faces, unit, where that was found in the photographs."""
+    points: Float64[np.ndarray, "n 3"] | None = None
+    """Places that photographs show, of the object and of what is around it, world frame; None where none are known."""
     data: str = ""
     """Where it was read from, as ``--data`` says it; empty for one that was built by hand."""
 

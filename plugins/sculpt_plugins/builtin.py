@@ -27,6 +27,10 @@ BUILTIN: dict[str, dict[str, str]] = {
         "triton": "sculpt_plugins.rasterizers.triton.config:TritonRasterizerConfig",
         "gsplat": "sculpt_plugins.rasterizers.gsplat.config:GsplatRasterizerConfig",
     },
+    "background": {
+        "none": "sculpt_framework.config:NoBackgroundConfig",
+        "gaussians": "sculpt_plugins.backgrounds.gaussians.config:GaussiansBackgroundConfig",
+    },
     "losses": {
         "bending": "sculpt_plugins.losses.bending.config:BendingConfig",
         "consistency": "sculpt_plugins.losses.consistency.config:ConsistencyConfig",

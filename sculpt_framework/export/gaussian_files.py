@@ -82,6 +82,20 @@ def read_gaussians_ply(path: Path) -> Gaussians:
     )
 
 
+def joined(first: Gaussians, second: Gaussians) -> Gaussians:
+    """All of both; colours that have fewer bands have zeros in the others."""
+    bands = max(first.sh.shape[1], second.sh.shape[1])
+    sh = [torch.cat([g.sh, g.sh.new_zeros(len(g), bands - g.sh.shape[1], 3)], dim=1) for g in (first, second)]
+    return Gaussians(
+        means=torch.cat([first.means, second.means]),
+        scales=torch.cat([first.scales, second.scales]),
+        rotations=torch.cat([first.rotations, second.rotations]),
+        opacities=torch.cat([first.opacities, second.opacities]),
+        sh=torch.cat(sh),
+        face=torch.cat([first.face, second.face]),
+    )
+
+
 def quaternions_from_rotations(rotations: Float[Tensor, "g 3 3"]) -> Float[Tensor, "g 4"]:
     """Unit quaternions (w, x, y, z) with w >= 0.
 

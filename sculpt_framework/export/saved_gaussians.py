@@ -14,6 +14,8 @@ from sculpt_framework.rasterizers import Rasterizer
 from sculpt_framework.types import Box, Camera, Gaussians, Rendering, Scene
 
 GAUSSIANS_NAME = "gaussians.ply"
+BACKGROUND_NAME = "background.ply"
+"""What is around the object, of a run that has learned it."""
 
 
 @torch.no_grad()
@@ -35,9 +37,9 @@ def draw_saved_gaussians(
 
 
 @torch.no_grad()
-def save_gaussians(gaussians: Gaussians, box: Box, folder: Path) -> Path:
-    """Those in the object frame of ``box``, for ``saved_gaussians``."""
-    means, path = box.to_world(gaussians.means.double()).float(), folder / GAUSSIANS_NAME
+def save_gaussians(gaussians: Gaussians, box: Box, path: Path) -> Path:
+    """Those in the object frame of ``box``, in world frame. Returns the path."""
+    means = box.to_world(gaussians.means.double()).float()
     write_gaussians_ply(path, replace(gaussians, means=means, scales=gaussians.scales * box.scale))
     return path
 

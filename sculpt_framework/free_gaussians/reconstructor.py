@@ -12,7 +12,7 @@ from torch import Tensor
 from sculpt_framework.adam import Adam
 from sculpt_framework.evaluation.extracted import world_mesh
 from sculpt_framework.evaluation.mesh import Mesh
-from sculpt_framework.export.saved_gaussians import save_gaussians, saved_gaussians
+from sculpt_framework.export.saved_gaussians import GAUSSIANS_NAME, save_gaussians, saved_gaussians
 from sculpt_framework.free_gaussians.config import FreeGaussiansConfig
 from sculpt_framework.free_gaussians.drawing import Lesson, colors_of_nearest, on_white
 from sculpt_framework.free_gaussians.splats import Splats
@@ -141,7 +141,7 @@ class FreeGaussiansReconstructor(Reconstructor):
 
     @torch.no_grad()
     def save(self, folder: Path) -> dict[str, Path]:
-        return {"gaussians": save_gaussians(self._splats.gaussians(self._bands), self._box, folder)}
+        return {"gaussians": save_gaussians(self._splats.gaussians(self._bands), self._box, folder / GAUSSIANS_NAME)}
 
     # -- state ---------------------------------------------------------------------------------------------------
 

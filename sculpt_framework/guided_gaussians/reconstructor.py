@@ -12,7 +12,7 @@ from torch import Tensor
 from sculpt_framework.adam import Adam
 from sculpt_framework.evaluation.extracted import world_mesh
 from sculpt_framework.evaluation.mesh import Mesh
-from sculpt_framework.export.saved_gaussians import save_gaussians
+from sculpt_framework.export.saved_gaussians import GAUSSIANS_NAME, save_gaussians
 from sculpt_framework.free_gaussians.drawing import Lesson, Terms, colors_of_nearest, on_white
 from sculpt_framework.free_gaussians.reconstructor import LAST_MEANS_RATE
 from sculpt_framework.free_gaussians.splats import Splats
@@ -184,7 +184,7 @@ class GuidedGaussiansReconstructor(Reconstructor):
 
     @torch.no_grad()
     def save(self, folder: Path) -> dict[str, Path]:
-        return {"gaussians": save_gaussians(self._gaussians(self._bands), self._box, folder)}
+        return {"gaussians": save_gaussians(self._gaussians(self._bands), self._box, folder / GAUSSIANS_NAME)}
 
     # -- state ---------------------------------------------------------------------------------------------------
 

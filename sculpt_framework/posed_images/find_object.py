@@ -54,6 +54,8 @@ _AIMED = 0.2
 _LESS = 0.5
 """Of the depths on a plane, so counted, that are on the object at least. It was 0.9 and more on tables and walls, and
 0.2 on a brick that is a part of the object."""
+_TOLD = 50_000
+"""Of all depths, how many are handed on as points."""
 _BURNT_OUT = 0.98
 """Brightness of a channel from which on it says only that there was much light."""
 _KNOWN = 0.02
@@ -83,6 +85,8 @@ class FoundObject:
     said: str
     up: tuple[float, float, float] | None
     """The normal of the plane it stands on, unit, in world axes; None where none is cut away."""
+    points: Float64[np.ndarray, "n 3"]
+    """Places that the photographs show, of the object and of what is around it, world frame."""
 
 
 def find_object(
@@ -121,7 +125,8 @@ def find_object(
     said += "; look at the masks: sculpt-data masks DIR."
     if len(train) < len(views):
         said += f" {len(views) - len(train)} images that do not show it are left out."
-    return FoundObject(train=train, test=done[len(views) :], said=said, up=_up(solid.planes, posed))
+    points = frame.to_world(torch.from_numpy(solid.points)).numpy()
+    return FoundObject(train=train, test=done[len(views) :], said=said, up=_up(solid.planes, posed), points=points)
 
 
 def _up(planes: Sequence[Plane], views: Sequence[View]) -> tuple[float, float, float] | None:
@@ -146,6 +151,8 @@ class _Solid:
     """What it stands on or before, which is cut away."""
     known: str
     """What there is of depths, in words."""
+    points: Float64[np.ndarray, "n 3"]
+    """Some of all depths."""
 
 
 def _solid(views: Sequence[View], *, sure: bool, keep_support: bool) -> _Solid | str:
@@ -173,7 +180,8 @@ def _solid(views: Sequence[View], *, sure: bool, keep_support: bool) -> _Solid |
     walls = [wall for axis in range(3) for wall in (inside.take(0, axis), inside.take(-1, axis))]
     if not keep_support and sum(wall.mean() > _WALLED for wall in walls) >= (_ROOM if sure else _OPEN):
         return f"{known}, but what they show fills the space: no object ends within it"
-    return _Solid(volume=volume, inside=inside, seen=seen, planes=planes, known=known)
+    some = points[:: -(-len(points) // _TOLD)]
+    return _Solid(volume=volume, inside=inside, seen=seen, planes=planes, known=known, points=some)
 
 
 def _without_burnt_out(maps: DepthMaps, views: Sequence[View]) -> DepthMaps:

@@ -1,12 +1,13 @@
 """From photographs with cameras to a scene: masks where there are none, and the object's box."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 import torch
+from jaxtyping import Float64
 
 from sculpt_framework.errors import DataError
 from sculpt_framework.posed_images.box import FoundBox, box_in_words, fit_box
@@ -55,7 +56,7 @@ def load_photographs(
     loaded = load_views(train, test, keyed, downscale=options.downscale, all_round=True)
     said = [*notes, *turned, *loaded.notes]
     views, held_out = list(loaded.train), list(loaded.test)
-    up = None
+    up, points = None, clues.points
     given = None if options.box is None else Box.between(options.box[:3], options.box[3:])
     bare = sum(view.alpha is None for view in views)
     if bare and by_file and options.masks == "auto":
@@ -64,8 +65,10 @@ def load_photographs(
     elif bare and options.masks != "none":
         seed, how = (given, "the box given") if given is not None else seed_box(views, clues)
         sure = given is not None or clues.box is not None
-        views, held_out, found, up = _with_masks(views, held_out, seed, sure, options)
-        said += [f"the object is looked for in {how}.", *found]
+        cut = _with_masks(views, held_out, seed, sure, options)
+        views, held_out, up = cut.train, cut.test, cut.up
+        points = np.concatenate([points, cut.points])
+        said += [f"the object is looked for in {how}.", *cut.said]
     bounds = FoundBox(box=given, said="box as given.", cuts=True) if given is not None else _find_box(views, clues)
     agreeing, outvoted = without_outvoted(_cut_to(bounds, views), bounds.box)
     said += outvoted
@@ -85,17 +88,25 @@ def load_photographs(
         reference_mesh=reference,
         notes=(*said, bounds.said),
         up=up,
+        points=points if len(points) else None,
     )
 
 
-def _with_masks(
-    views: Sequence[View], test: Sequence[View], seed: Box, sure: bool, options: PhotographsConfig
-) -> tuple[list[View], list[View], list[str], tuple[float, float, float] | None]:
-    """The views with an alpha each, from depths where they tell, else from colours, what is said of that, and up, where
-    the object is found to stand on something.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Cut:
+    """Views with an alpha each."""
 
-    Raises DataError.
-    """
+    train: list[View]
+    test: list[View]
+    said: list[str]
+    up: tuple[float, float, float] | None = None
+    """Where the object is found to stand on something."""
+    points: Float64[np.ndarray, "n 3"] = field(default_factory=lambda: np.zeros((0, 3)))
+    """What depths there are, in world frame."""
+
+
+def _with_masks(views: Sequence[View], test: Sequence[View], seed: Box, sure: bool, options: PhotographsConfig) -> _Cut:
+    """The object from depths where they tell, else from colours. Raises DataError."""
     # What is compiled and only needed here is imported here.
     from sculpt_framework.posed_images.cut_out import cut_out
     from sculpt_framework.posed_images.find_object import FoundObject, find_object
@@ -104,10 +115,10 @@ def _with_masks(
     if options.masks != "cut-out":
         found = find_object(views, test, seed, sure=sure, keep_support=options.keep_support)
         if isinstance(found, FoundObject):
-            return found.train, found.test, [found.said], found.up
+            return _Cut(train=found.train, test=found.test, said=[found.said], up=found.up, points=found.points)
         notes.append(f"no object is found by depth: {found}.")
     train, held_out, note = cut_out(views, test, seed)
-    return train, held_out, [*notes, note], None
+    return _Cut(train=train, test=held_out, said=[*notes, note])
 
 
 def seed_box(views: Sequence[View], clues: Clues) -> tuple[Box, str]:

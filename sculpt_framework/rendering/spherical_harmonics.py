@@ -6,7 +6,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-_BAND_0 = 0.5 / math.sqrt(math.pi)
+BAND_0 = 0.5 / math.sqrt(math.pi)
+"""The constant harmonic."""
 _BAND_1 = math.sqrt(3.0 / (4.0 * math.pi))
 _DEGREE_OF_COUNT = {1: 0, 4: 1, 9: 2, 16: 3}
 
@@ -24,7 +25,7 @@ def sh_to_rgb(
     if count not in _DEGREE_OF_COUNT:
         raise ValueError(f"spherical harmonics have 1, 4, 9 or 16 coefficients (degrees 0 to 3), not {count}")
     if count == 1:
-        return torch.add(0.5, sh[:, 0], alpha=_BAND_0).clamp_min(0.0)
+        return torch.add(0.5, sh[:, 0], alpha=BAND_0).clamp_min(0.0)
     offset = means - camera_position
     # A zero offset would give 0/0; one in place of its squared length leaves the direction 0 and its gradient finite.
     squared = offset.square().sum(dim=1, keepdim=True)
@@ -36,7 +37,7 @@ def sh_to_rgb(
 def spherical_harmonics(directions: Float[Tensor, "n 3"], degree: int) -> Float[Tensor, "n b"]:
     """The real spherical harmonics up to ``degree`` (at most 3) at unit vectors, orthonormal on the sphere."""
     x, y, z = directions.unbind(dim=1)
-    bands = [torch.full_like(x, _BAND_0)]
+    bands = [torch.full_like(x, BAND_0)]
     if degree >= 1:
         bands += [-_BAND_1 * y, _BAND_1 * z, -_BAND_1 * x]
     if degree >= 2:

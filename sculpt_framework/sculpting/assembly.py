@@ -71,6 +71,7 @@ def build_parts(
             config=trainer,
             generator=generator,
             processes=processes,
+            background=config.background.build(device),
         ),
     )
 

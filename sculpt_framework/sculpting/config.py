@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from sculpt_framework.config import (
     AppearanceConfig,
+    BackgroundConfig,
     BinderConfig,
     ConstraintConfig,
     ExtractorConfig,
@@ -14,6 +15,7 @@ from sculpt_framework.config import (
     InitializerConfig,
     LossConfig,
     MethodConfig,
+    NoBackgroundConfig,
     RasterizerConfig,
 )
 from sculpt_framework.errors import ConfigError
@@ -109,6 +111,7 @@ class TrainerConfig:
 
 
 Switch = Literal["on", "off"]
+_NO_BACKGROUND = NoBackgroundConfig()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -170,6 +173,7 @@ class SculptingConfig(MethodConfig):
     binder: BinderConfig
     appearance: AppearanceConfig
     rasterizer: RasterizerConfig
+    background: BackgroundConfig = _NO_BACKGROUND
     initializer: InitializerConfig
     losses: tuple[LossConfig, ...]
     constraints: tuple[ConstraintConfig, ...]

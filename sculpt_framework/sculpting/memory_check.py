@@ -71,10 +71,13 @@ def check_memory(
         return
     images = step = 0
     of = sizes(trainer, 0)
+    background = trainer.background
+    around, more = (0.0, 0) if background is None else (background.around, 3)
     # Whole images are more than their windows, and cost no look at the pixels.
     for window in (_whole, object_window):
-        areas = [_area(window(view, box.camera_to_object(view.camera), box)) * stage.image_scale**2 for view in views]
-        channels = [3 if view.alpha is None else 4 for view in views]
+        windows = [window(view, box.camera_to_object(view.camera), box, around) for view in views]
+        areas = [_area(each) * stage.image_scale**2 for each in windows]
+        channels = [more + (3 if view.alpha is None else 4) for view in views]
         images = round(sum(area * count * _FLOAT for area, count in zip(areas, channels, strict=True)))
         of = sizes(trainer, round(max(areas)))
         step = step_bytes(of)
@@ -100,7 +103,7 @@ def memory_left(device: torch.device) -> int | None:
     return torch.cuda.mem_get_info(device)[0] + kept
 
 
-def _whole(view: View, camera: object, box: Box) -> tuple[int, int, int, int]:
+def _whole(view: View, camera: object, box: Box, around: float) -> tuple[int, int, int, int]:
     return 0, 0, view.camera.width, view.camera.height
 
 

@@ -15,7 +15,7 @@ from sculpt_framework.commands import Command
 from sculpt_framework.evaluation.extracted import world_mesh
 from sculpt_framework.evaluation.mesh import Mesh
 from sculpt_framework.export.gaussian_files import write_gaussians_ply
-from sculpt_framework.export.saved_gaussians import GAUSSIANS_NAME, draw_gaussians
+from sculpt_framework.export.saved_gaussians import BACKGROUND_NAME, GAUSSIANS_NAME, draw_gaussians, save_gaussians
 from sculpt_framework.extractors import Extractor
 from sculpt_framework.geometry.signed_distance import EmptySurfaceError, SdfFunction
 from sculpt_framework.losses import TrainingImage
@@ -46,14 +46,14 @@ class Sculpting(Reconstructor):
     def __init__(self, config: SculptingConfig, scene: Scene, host: Host):
         """Raises SculptError for what the components cannot do together."""
         self.config = config
-        self._box, self._host = scene.box, host
+        self._box, self._host, self._points = scene.box, host, scene.points
         self._generator = torch.Generator().manual_seed(config.seed)
         parts = assembly.build_parts(config, scene.box, self._generator, host.processes)
         self.trainer = parts.trainer
         self._rates = Rates(config.trainer, timed=host.timed)
         self.images: list[TrainingImage] = []
         """What the present stage learns from."""
-        self._stage = -1
+        self._stage, self._told = -1, False
         self._settled: Settled | None = None
         self._gaussians: Gaussians | None = None
         """In the object frame, of the latest extraction, once they have been asked for."""
@@ -76,6 +76,8 @@ class Sculpting(Reconstructor):
         error = fit_to_views(
             self.trainer.field, initializer, config, host.views, box, parts.detail, random, device, self._show_start
         )
+        if (background := self.trainer.background) is not None:
+            background.begin(host.views, box, self._points, self._generator)
         self.trainer.equalize()
         name = type(config.initializer).__name__.removesuffix("Config")
         host.tell("decision", {"item": "initial surface", "value": name, "fit_error": error, **initializer.findings})
@@ -88,8 +90,8 @@ class Sculpting(Reconstructor):
         index = self._rates.stage_index(moment.progress)
         if index != self._stage and not moment.last:
             self._enter(index)
-        elif not self.images:  # A saved run is resumed.
-            self._load_images(self._stage)
+        elif not self._told:  # A saved run is resumed.
+            self._require_images()
             self._tell_stage()
         rate = self._rates.factor(moment.progress) * moment.rate
         self._forget_shown()
@@ -119,6 +121,7 @@ class Sculpting(Reconstructor):
     def finish(self) -> None:
         """Colours on the final surface, for as many steps as the method says and the time limit allows."""
         self._settled = None
+        self._require_images()
         surface = self._follow()
         kept, scene = capture(self.trainer, self._stage, self._generator), self.trainer.scene
         binder, wanted = scene.binder, self.config.trainer.polish_gaussians
@@ -163,12 +166,19 @@ class Sculpting(Reconstructor):
     def _load_images(self, index: int) -> None:
         stage, views, box = self.config.trainer.stages[index], self._host.views, self._box
         memory_check.check_memory(self.trainer, views, box, stage, index, self._host.warn)
-        self.images = prepare_images(views, box, stage.image_scale, self.parts.device)
+        background = self.trainer.background
+        around = None if background is None else background.around
+        self.images = prepare_images(views, box, stage.image_scale, self.parts.device, around=around)
         assembly.take_images(self.trainer, self.config.trainer, self.images)
         self.trainer.scene.blur = math.sqrt(self.config.trainer.low_pass_px2) * pixel_footprint(self.images)
 
+    def _require_images(self) -> None:
+        """A saved run has none to begin with. Raises TrainingFailed where memory does not suffice for them."""
+        if not self.images:
+            self._load_images(self._stage)
+
     def _tell_stage(self) -> None:
-        stage = self._stage_config
+        stage, self._told = self._stage_config, True
         self._host.tell(
             "stage",
             {
@@ -259,7 +269,10 @@ class Sculpting(Reconstructor):
     def save(self, folder: Path) -> dict[str, Path]:
         path = folder / GAUSSIANS_NAME
         write_gaussians_ply(path, self.reconstruction().gaussians)
-        return {"gaussians": path}
+        if self.trainer.background is None:
+            return {"gaussians": path}
+        behind = save_gaussians(self.trainer.background.gaussians(), self._box, folder / BACKGROUND_NAME)
+        return {"gaussians": path, "background": behind}
 
     @torch.no_grad()
     def snapshot(self) -> Snapshot | None:
@@ -301,6 +314,8 @@ class Sculpting(Reconstructor):
         if self.trainer.extraction is not None:
             yield self.trainer.extraction.surface.detach()
             return
+        # They say how large cells are, and pixels.
+        self._require_images()
         with undisturbed(self.trainer), torch.no_grad():
             surface = self.trainer.extract().surface.detach()
             self.trainer.scene.follow(surface)

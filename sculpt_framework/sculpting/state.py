@@ -30,6 +30,8 @@ def capture(trainer: BiLevelTrainer, stage: int, generator: torch.Generator) -> 
     _put(state, "scene", trainer.scene.state())
     _put(state, "terms", trainer.own.state())
     _put(state, "resting", trainer.gating.state())
+    if trainer.background is not None:
+        _put(state, "background", trainer.background.state())
     return {name: tensor.detach().clone().contiguous() for name, tensor in state.items()}
 
 
@@ -54,6 +56,8 @@ def restore(trainer: BiLevelTrainer, generator: torch.Generator, state: Mapping[
     trainer.scene.load_state(_get(state, "scene"))
     trainer.own.load_state(_get(state, "terms"))
     trainer.gating.load_state(_get(state, "resting"))
+    if trainer.background is not None:
+        trainer.background.load_state(_get(state, "background"))
 
 
 def _load_module(module: nn.Module, state: Mapping[str, Tensor]) -> None:

@@ -13,9 +13,10 @@ from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float, Int64
-from torch import Tensor
+from torch import Tensor, nn
 
 from sculpt_framework.adam import Adam
+from sculpt_framework.backgrounds import Background
 from sculpt_framework.binders import Binding
 from sculpt_framework.constraints import Constraint
 from sculpt_framework.extractors import Extraction, Extractor
@@ -30,7 +31,7 @@ from sculpt_framework.sculpting.own_parameters import OwnParameters
 from sculpt_framework.sculpting.term_gating import TermGating
 from sculpt_framework.sculpting.trust_region import TrustRegion
 from sculpt_framework.sculpting.view_gradients import DeferredBackward, ViewGradients, Weighted
-from sculpt_framework.types import Box, Surface
+from sculpt_framework.types import Box, Gaussians, Surface
 
 _CHUNK, _LEAST_WARM_UP = 10, 30
 """Colour steps between two looks at the clock while colours are warmed up, and those that there are in any case."""
@@ -95,11 +96,14 @@ class BiLevelTrainer:
         config: TrainerConfig,
         generator: torch.Generator,
         processes: Processes | None = None,
+        background: Background | None = None,
     ):
-        """``processes`` share the views of each step; None: there is one."""
+        """``processes`` share the views of each step; None: there is one. ``background``: what is around the object;
+        None: masks leave it out."""
         self.field = field
         self.extractor = extractor
         self.scene = scene
+        self.background = background
         groups = field.parameter_groups()
         self.optimizer = Adam(groups, betas=(0.9, 0.99))
         self.seeds: Int64[Tensor, " s"] | None = None
@@ -122,7 +126,7 @@ class BiLevelTrainer:
 
     def equalize(self) -> None:
         """Have all processes start from the first one's field and colours: fitting rounds as the machine likes."""
-        self.processes.equalize([*self.field.parameters(), *self.scene.appearance.parameters()])
+        self.processes.equalize([*self.field.parameters(), *self.scene.appearance.parameters(), *self._behind])
 
     def take_images(self, images: Sequence[TrainingImage]) -> None:
         """From here on these are the images that the steps are given."""
@@ -177,11 +181,18 @@ class BiLevelTrainer:
         views = stage.outer_views if self._config.gradient_isolation else stage.outer_views + stage.inner_steps
         self._zero_grad()
         joint = not self._config.gradient_isolation
-        gaussians = assemble(binding, self.scene.harmonics(binding.means, degree=self._degree(0), learn=joint))
+        degree = self._degree(stage.inner_steps)
+        if joint:  # Without an inner loop it goes by the views that have been looked at.
+            degree = self.optimizer.taken * views // self._config.sh_degree_every
+        gaussians = assemble(binding, self.scene.harmonics(binding.means, degree=degree, learn=joint))
         seeing = self.objectives.silhouettes if stage.silhouette_only else self._awake()
-        deferred, terms = self.views.render_and_backward(gaussians, images, views, seeing, self.processes, self.own)
+        around = None if stage.silhouette_only else self._around(learn=joint)
+        deferred, terms = self.views.render_and_backward(
+            gaussians, images, views, seeing, self.processes, self.own, around
+        )
         seen = tuple(terms)
-        for objective in self.objectives.views if not stage.silhouette_only else ():
+        compared = [each for each in self.objectives.views if each.weight > 0 and not stage.silhouette_only]
+        for objective in compared:
             terms[objective.name] = self._compare(objective, settled.surface, images, deferred)
         for objective in self.objectives.geometry:
             terms[objective.name] = deferred.add(objective.weight * objective.term(extraction))
@@ -205,8 +216,12 @@ class BiLevelTrainer:
         self.own.step(rate_factor)
         if joint:
             self.scene.step(rate_factor * self.gaussian_rate)
+            if self.background is not None and not stage.silhouette_only:
+                self.background.step(rate_factor * self.gaussian_rate)
         rows = [leaf for table in self.extractor.tables.values() for leaf in table.leaves.values()]
-        self.processes.align([*self.optimizer.parameters, *rows, *self.scene.learning, *self.own.parameters])
+        self.processes.align(
+            [*self.optimizer.parameters, *rows, *self.scene.learning, *self._behind, *self.own.parameters]
+        )
         return OuterStep(
             loss=sum(terms.values()),
             terms=terms,
@@ -248,7 +263,7 @@ class BiLevelTrainer:
             degree = self._degree(step)
             sh = self.scene.harmonics(bound.means, degree=degree, learn=True)
             deferred, terms = self.views.render_and_backward(
-                assemble(bound, sh), images, count, [inner], self.processes, self.own
+                assemble(bound, sh), images, count, [inner], self.processes, self.own, self._around(learn=True)
             )
             awake = [each for each in self.objectives.constraints if learn_places and self.gating.due(each.name)]
             for constraint in awake:
@@ -261,6 +276,8 @@ class BiLevelTrainer:
             rate = self.gaussian_rate * (1.0 if not self._config.warm_start else rate_factor)
             self.scene.step(rate)
             self.own.step(rate)
+            if self.background is not None:
+                self.background.step(rate)
             self.inner_total = after
         return (total / steps if steps else None), binding
 
@@ -310,6 +327,19 @@ class BiLevelTrainer:
         self.seeds = self.extraction.cells
         return self.extraction
 
+    def _around(self, *, learn: bool) -> Gaussians | None:
+        """What is behind the object; None where nothing is. Its gradient begins anew if it is to ``learn``."""
+        if self.background is None:
+            return None
+        if learn:
+            self.background.zero_grad()
+        with torch.set_grad_enabled(learn):
+            return self.background.gaussians()
+
+    @property
+    def _behind(self) -> list[nn.Parameter]:
+        return [] if self.background is None else self.background.parameters
+
     def _note_rest(self, terms: Mapping[str, float]) -> None:
         """Of image terms, what they came to."""
         for objective in self.objectives.images:
@@ -341,6 +371,8 @@ class BiLevelTrainer:
                 _require_finite(leaf, f"the {owner}'s {name}")
         for parameter in self.scene.appearance.parameters():
             _require_finite(parameter, "the appearance")
+        for parameter in self._behind:
+            _require_finite(parameter, "the background")
 
     def _check_shape(self) -> None:
         """Of field and extractor, after they have been updated."""

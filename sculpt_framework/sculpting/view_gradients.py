@@ -1,20 +1,20 @@
 """Views in random order, and what they say of the Gaussians: the part of a step that rendering is."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sculpt_framework.losses import ImageLoss, TrainingImage
+from sculpt_framework.losses import ImageLoss, Target, TrainingImage
 from sculpt_framework.parallel.processes import Processes
 from sculpt_framework.rasterizers import Rasterizer
 from sculpt_framework.sculpting.config import TrainerConfig
 from sculpt_framework.sculpting.gaussian_scene import as_leaves, tensor_pairs
 from sculpt_framework.sculpting.own_parameters import OwnParameters
-from sculpt_framework.types import Gaussians
+from sculpt_framework.types import Gaussians, Rendering
 
 Term = TypeVar("Term")
 Drawn = tuple[TrainingImage, Float[Tensor, " 3"]]
@@ -48,23 +48,23 @@ class ViewGradients:
         objectives: Sequence[Weighted[ImageLoss]],
         processes: Processes,
         own: OwnParameters,
+        around: Gaussians | None = None,
     ) -> tuple["DeferredBackward", dict[str, float]]:
         """The mean gradient of the next views' image terms by the Gaussians, from where it goes on, and the terms.
+
+        Where there are Gaussians of what is ``around`` the object, behind it in every view, whole photographs are
+        compared.
 
         Each view's graph ends at the Gaussians and is freed before the next view is rendered. That is where processes
         add up: Gaussians have far fewer numbers than what they are made of, and from here all go on alike. What terms
         learn themselves (``own``) has its gradient from these views alone.
         """
         drawn = [self._draw(images) for _ in range(count if objectives else 0)]
-        leaves = as_leaves(gaussians)
+        leaves, behind = as_leaves(gaussians), None if around is None else as_leaves(around)
         own.zero_grad()
         terms = {objective.name: 0.0 for objective in objectives}
         for number in processes.share(len(drawn)):
-            image, background = drawn[number]
-            rendering = self._rasterizer.render(
-                leaves, image.camera, background, low_pass_px2=self._config.low_pass_px2, normals=False
-            )
-            target = image.over(background)
+            rendering, target = self._seen(leaves, behind, *drawn[number])
             loss = rendering.alpha.new_zeros(())
             for objective in objectives:
                 term = objective.weight * objective.term(rendering, target)
@@ -72,7 +72,10 @@ class ViewGradients:
                 loss = loss + term
             if loss.requires_grad:
                 (loss / len(drawn)).backward()
-        pairs = [(value, leaf) for value, leaf in tensor_pairs(gaussians, leaves) if leaf.requires_grad]
+        all_pairs = tensor_pairs(gaussians, leaves)
+        if around is not None and behind is not None:
+            all_pairs += tensor_pairs(around, behind)
+        pairs = [(value, leaf) for value, leaf in all_pairs if leaf.requires_grad]
         terms = processes.reduce([*(leaf for _, leaf in pairs), *own.parameters], terms)
         deferred = DeferredBackward()
         for value, leaf in pairs:
@@ -86,6 +89,20 @@ class ViewGradients:
         if not self.order:
             self.order = torch.randperm(count, generator=self._generator).tolist()
         return self.order.pop()
+
+    def _seen(
+        self, gaussians: Gaussians, behind: Gaussians | None, image: TrainingImage, background: Float[Tensor, " 3"]
+    ) -> tuple[Rendering, Target]:
+        """How a view renders, its alpha that of the object alone, and what it is compared with."""
+        low_pass = self._config.low_pass_px2
+        if behind is None:
+            rendering = self._rasterizer.render(gaussians, image.camera, background, low_pass_px2=low_pass)
+            return rendering, image.over(background)
+        black = torch.zeros_like(background)
+        rendering = self._rasterizer.render(gaussians, image.camera, black, low_pass_px2=low_pass)
+        room = self._rasterizer.render(behind, image.camera, black, low_pass_px2=low_pass)
+        rgb = rendering.rgb + (1 - rendering.alpha)[..., None] * room.rgb
+        return replace(rendering, rgb=rgb), image.whole()
 
     def _draw(self, images: Sequence[TrainingImage]) -> Drawn:
         """The next view. Every process draws for all, so that all draw the same."""

@@ -20,6 +20,7 @@ from sculpt_framework.errors import CheckpointError
 from sculpt_framework.export.atomic import write_atomically
 from sculpt_framework.geometry.band import levels_of
 from sculpt_framework.geometry.grid import Grid, unpack_ijk
+from sculpt_framework.rendering.spherical_harmonics import BAND_0
 from sculpt_framework.sculpting.reconstruction import in_world
 from sculpt_framework.snapshot import Cells as SurfaceCells
 from sculpt_framework.snapshot import Snapshot
@@ -28,8 +29,6 @@ from sculpt_framework.types import Box, Gaussians, Surface
 FOLDER = "evolution"
 LIVE = "live.npz"
 FORMAT = 1
-_SH_BAND_0 = 0.28209479177387814
-"""The constant spherical harmonic, 1 / (2 sqrt(pi))."""
 _STEP = re.compile(r"step-(\d+)\.npz")
 
 
@@ -91,7 +90,7 @@ def write_frame(path: Path, snapshot: Snapshot, *, outer: int, t_train: float, w
         }
     else:
         arrays["face"] = _plain(gaussians.face, np.int32)
-        arrays["rgb"] = _bytes(_plain(0.5 + _SH_BAND_0 * gaussians.sh[:, 0], np.float32))
+        arrays["rgb"] = _bytes(_plain(0.5 + BAND_0 * gaussians.sh[:, 0], np.float32))
     if whole and snapshot.cells is not None:
         grid = snapshot.cells.grid
         arrays["cells"] = _plain(snapshot.cells.keys, np.int64)
@@ -177,7 +176,7 @@ def _frame(arrays: dict[str, np.ndarray], outer: int, t_train: float) -> Frame:
         return frame_of(snapshot, outer=outer, t_train=t_train)
     face = tensor("face", torch.int64)
     if "rgb" in arrays:
-        flat: Any = (tensor("rgb", torch.float32) / 255 - 0.5) / _SH_BAND_0
+        flat: Any = (tensor("rgb", torch.float32) / 255 - 0.5) / BAND_0
         count = len(flat)
         gaussians = Gaussians(
             means=torch.zeros(count, 3),

@@ -174,7 +174,8 @@ def test_listing_names_imports_no_plug_in():
 def test_the_entry_point_groups_are_frozen():
     groups = " ".join(slot.group.removeprefix("sculpt_framework.") for slot in registry.SLOTS.values())
     assert groups == (
-        "fields extractors binders appearances rasterizers initializers datasets losses constraints observers"
+        "fields extractors binders appearances rasterizers backgrounds initializers datasets losses constraints "
+        "observers"
     )
     assert registry.METHOD_GROUP == "sculpt_framework.methods"
 

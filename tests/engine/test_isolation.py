@@ -12,6 +12,7 @@ from sculpt_framework.losses import TrainingImage
 from sculpt_framework.sculpting.assembly import Parts
 from sculpt_framework.sculpting.gaussian_scene import assemble
 from sculpt_framework.types import Scene, Surface
+from sculpt_plugins.appearances.per_gaussian.config import PerGaussianConfig
 from sculpt_plugins.extractors.flexicubes.config import FlexiCubesConfig
 
 LEARNABLE = FlexiCubesConfig(split="center", learn_weights=True, learn_deformation=True)
@@ -108,6 +109,18 @@ def test_without_isolation_everything_moves_at_once(scene: Scene):
     assert trainer.inner_total == 0
     assert changed(field, dict(trainer.field.named_parameters()))
     assert changed(colours, dict(trainer.scene.appearance.named_parameters()))
+
+
+def test_without_isolation_colours_reach_the_degrees_that_views_have_earned(scene: Scene):
+    config = small_config(gradient_isolation=False, appearance=PerGaussianConfig(sh_degree=1), sh_degree_every=8)
+    parts, images = on_a_sphere(config, scene)
+    trainer = parts.trainer
+    trainer.scene.follow(trainer.extract().surface)
+    moved = []
+    for _ in range(3):  # Of four views each.
+        trainer.update(trainer.settle(images, STAGE, 1.0), images, STAGE, 1.0)
+        moved.append(bool(trainer.scene.appearance_rows.leaves["band_1"].any()))
+    assert moved == [False, False, True]
 
 
 def test_a_gradient_that_is_not_finite_updates_nothing(scene: Scene, monkeypatch: pytest.MonkeyPatch):

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from small_runs import ONE_STAGE, TWO_STAGES, files_of, finished, small_config, train
+from small_runs import ONE_STAGE, TWO_STAGES, files_of, finished, method_of, small_config, train
 from torch import Tensor
 
 from sculpt_framework.cli.data import write_masks
@@ -38,11 +38,13 @@ from sculpt_framework.stop_rule import StopRule
 from sculpt_framework.types import Scene
 from sculpt_framework.viewing.run_folder import RunFolder
 from sculpt_plugins.appearances.per_gaussian.config import PerGaussianConfig
+from sculpt_plugins.backgrounds.gaussians.config import GaussiansBackgroundConfig
 from sculpt_plugins.extractors.flexicubes.config import FlexiCubesConfig
 
 LEARNABLE = FlexiCubesConfig(split="center", learn_weights=True, learn_deformation=True)
 VARIANTS = {
     "default": small_config(steps=6, stages=TWO_STAGES),
+    "background": small_config(steps=6, stages=TWO_STAGES, background=GaussiansBackgroundConfig(near=0, far=50)),
     "learnable": small_config(steps=6, stages=TWO_STAGES, extractor=LEARNABLE, appearance=PerGaussianConfig()),
 }
 Saved = tuple[Mapping[str, Tensor], Progress]
@@ -76,6 +78,19 @@ def test_a_resumed_run_ends_as_an_unbroken_one(scene: Scene, variant: str, tmp_p
     np.testing.assert_array_equal(whole.vertices, resumed.vertices)
     np.testing.assert_array_equal(whole.faces, resumed.faces)
     np.testing.assert_array_equal(whole.colors, resumed.colors)
+
+
+def test_a_saved_run_with_cells_of_several_sizes_can_be_looked_at(scene: Scene):
+    """Before its next step: the seeds are cells that only the images of its stage explain."""
+    stage = replace(ONE_STAGE[0], level=2)
+    config = small_config(steps=2, stages=(stage,), cell_pixels=4.0, base_cells=6)
+    saved = stopped_after(config, scene, 2)
+    session = Session(scene, config, saved=saved)
+    session.show_saved()
+    method = method_of(session)
+    assert method.snapshot() is not None
+    assert len(method.mesh().faces) > 100
+    assert method.trainer.scene.blur > 0
 
 
 @pytest.mark.slow
@@ -166,6 +181,16 @@ def test_an_earlier_state_is_kept_if_it_is_clearly_better(
     session.run()
     told = [event for event in events if event.event == "decision" and event.data["item"] == "kept state"]
     assert bool(told) is gone_back
+
+
+@pytest.mark.parametrize("steps", [4, 10, 13])
+def test_colours_are_polished_for_as_many_steps_as_asked_for(scene: Scene, steps: int):
+    taken = []
+    for asked in (0, steps):
+        session = Session(scene, small_config(steps=1, polish_steps=asked))
+        finished(session)
+        taken.append(method_of(session).trainer.inner_total)
+    assert taken[1] - taken[0] == steps
 
 
 def test_colours_may_be_polished_on_more_gaussians(scene: Scene):

@@ -1,3 +1,5 @@
+"""The Gaussians as 3DGS writes them."""
+
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -11,11 +13,14 @@ if TYPE_CHECKING:
 class GaussiansExporterConfig(ExporterConfig):
     """The Gaussians as PLY in the layout of 3DGS, in the scene's frame: for splat viewers."""
 
+    background: bool = False
+    """With what is around the object, of a run with --background gaussians."""
+
     @property
     def file_name(self) -> str:
-        return "gaussians.ply"
+        return "gaussians-whole.ply" if self.background else "gaussians.ply"
 
     def build(self) -> "GaussiansExporter":
         from sculpt_plugins.exporters.gaussians.exporter import GaussiansExporter
 
-        return GaussiansExporter()
+        return GaussiansExporter(self)

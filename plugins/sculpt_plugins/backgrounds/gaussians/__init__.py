@@ -1,0 +1,1 @@
+"""Free Gaussians behind the object."""

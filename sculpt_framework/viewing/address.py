@@ -23,17 +23,15 @@ def check_address(host: str, port: int, option: str) -> None:
             f" and forward the port: ssh -L {port}:127.0.0.1:{port} {socket.gethostname()}, then open"
             f" http://127.0.0.1:{port}"
         )
-    with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as probe:
-        if os.name == "posix":
-            # As the server does: a port whose last connection is still winding down is free.
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
+    try:
+        with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as probe:
+            if os.name == "posix":
+                # As the server does: a port whose last connection is still winding down is free.
+                probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind((host, port))
-        except (OSError, OverflowError) as error:
-            reason = error.strerror if isinstance(error, OSError) else error
-            raise ConfigError(
-                f"the viewer cannot listen on {host}:{port} ({reason}); choose another {option}"
-            ) from error
+    except (OSError, OverflowError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise ConfigError(f"the viewer cannot listen on {host}:{port} ({reason}); choose another {option}") from error
 
 
 def is_loopback(host: str) -> bool:

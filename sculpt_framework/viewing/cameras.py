@@ -10,6 +10,7 @@ from sculpt_framework.types import Scene
 from sculpt_framework.viewing.comparison import compare, rasterizer_here
 from sculpt_framework.viewing.frames import Frame
 from sculpt_framework.viewing.layers import camera_pose, show_cameras, vertical_fov
+from sculpt_framework.viewing.markdown import plain
 from sculpt_framework.viewing.run_folder import RunFolder
 
 _FLIGHT_STEPS = 12
@@ -87,7 +88,7 @@ class CameraTab:
 
     def _compare(self, index: int, frame: Frame, scene: Scene) -> None:
         self._compared = (index, frame)
-        name = scene.train[index].name
+        name = plain(scene.train[index].name)
         if frame.gaussians is None:
             self.text.content = f"{name}: of recorded steps the Gaussians are not kept, so there is nothing to render."
             return

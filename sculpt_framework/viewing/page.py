@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import viser
 
+from sculpt_framework.viewing.markdown import code, plain
 from sculpt_framework.viewing.run_folder import RunFolder
 
 _POINTS_AT_MOST = 2000
@@ -65,7 +66,8 @@ class Overview:
     def _tell(self) -> None:
         run, step = self._run, self._step
         status, started = run.status, run.started
-        lines = [f"**{started.get('scene', run.folder.name)}** by *{started.get('method', run.config.method)}*"]
+        scene, method = started.get("scene", run.folder.name), started.get("method", run.config.method)
+        lines = [f"**{plain(scene)}** by *{plain(method)}*"]
         if self._paused and status in ("running", "silent"):
             lines.append("**Paused.**")
         elif status == "silent" and not run.has_events:
@@ -83,8 +85,9 @@ class Overview:
             eta = step.get("eta_s")
             left = f", about {eta:.0f} s left" if eta is not None and status == "running" else ""
             lines.append(f"Step {step['outer']}, {self._clock:.0f} s of training{left}")
-            sizes = f"{step['faces']} faces, {step['gaussians']} Gaussians, {step['rss_mb']:.0f} MB"
-            lines.append(f"{sizes}, loss {step['loss']:.4g}")
+            # Methods that render a volume have none.
+            gaussians = f", {step['gaussians']} Gaussians" if "gaussians" in step else ""
+            lines.append(f"{step['faces']} faces{gaussians}, {step['rss_mb']:.0f} MB, loss {step['loss']:.4g}")
             progress = 100.0 if status == "finished" else min(100.0, 100.0 * step["progress"])
             if self._bar.value != progress:
                 self._bar.value = progress
@@ -122,13 +125,14 @@ class Overview:
 
 def _planned(row: Mapping[str, Any]) -> str:
     """A row of the data of the event "plan"."""
-    return f"- plan, {row['item']}: {row['value']}; {row['evidence']} (`{row['override']}` takes it back)"
+    item, value, evidence = (plain(row[name]) for name in ("item", "value", "evidence"))
+    return f"- plan, {item}: {value}; {evidence} ({code(row['override'])} takes it back)"
 
 
 def _sentence(data: Mapping[str, Any]) -> str:
     if "message" in data:
-        return str(data["message"])
-    return ", ".join(f"{name} {_short(value)}" for name, value in data.items())
+        return plain(data["message"])
+    return plain(", ".join(f"{name} {_short(value)}" for name, value in data.items()))
 
 
 def _short(value: object) -> str:

@@ -35,6 +35,8 @@ class RunFolder:
         self.config: MethodConfig = read_config(folder)
         self.started: Mapping[str, Any] = {}
         """What the run said when it started."""
+        self._under_way = False
+        """Whether it has said last that it starts, and not that it ends."""
         self._position = 0
         self._rest = b""
 
@@ -58,6 +60,8 @@ class RunFolder:
                 events.append(event)
                 if event["event"] == "run_started":
                     self.started = event["data"]
+                if event["event"] in ("run_started", "run_ended"):
+                    self._under_way = event["event"] == "run_started"
         return events
 
     @property
@@ -77,9 +81,11 @@ class RunFolder:
     def status(self) -> Status:
         """How the run stands, as far as its files tell."""
         match run_status(self.folder):
-            case "finished" | "stopped" | "failed" as ended:
+            case "finished":
+                return "finished"
+            case "stopped" | "failed" as ended if not self._under_way:
                 return ended
-            case _:
+            case _:  # A run that was resumed leaves what it said when it was stopped.
                 return "silent" if not self._alive and self.silent_seconds > _SILENT_SECONDS else "running"
 
     def load_scene(self) -> Scene:
@@ -89,22 +95,21 @@ class RunFolder:
     @property
     def live_stamp(self) -> tuple[str, int]:
         """Changes when there is a newer state to show."""
-        for path in (self.folder / MESH_NAME, self.folder / FOLDER / LIVE):
-            if path.exists():
-                return path.name, path.stat().st_mtime_ns
+        if (latest := self._latest()) is not None:
+            path, stamp = latest
+            return path.name, stamp
         # Of a run that goes on something newer will come; of one that was killed an older file is all there is.
         return ("", 0) if self.status == "running" else ("checkpoint", len(step_files(self.folder)))
 
     def newest(self) -> Frame | None:
-        """The result if there is one, else the latest snapshot, else, of a run that does not go on, what the checkpoint
-        holds or the last recorded step; None if nothing is there yet.
+        """The result or the latest snapshot, whichever is newer; without either, of a run that does not go on, what the
+        checkpoint holds or the last recorded step; None if nothing is there yet.
 
         Raises CheckpointError or DataError if it cannot be read.
         """
-        if (self.folder / MESH_NAME).exists():
-            return self._result()
-        if (self.folder / FOLDER / LIVE).exists():
-            return read_frame(self.folder / FOLDER / LIVE)
+        if (latest := self._latest()) is not None:
+            path, _ = latest
+            return self._result() if path.name == MESH_NAME else read_frame(path)
         if self.status == "running":
             return None
         from sculpt_framework.viewing.checkpointed import frame_of_checkpoint
@@ -122,6 +127,15 @@ class RunFolder:
         """That Gaussians of the run are drawn with."""
         return self.config.trainer.low_pass_px2 if isinstance(self.config, SculptingConfig) else 0.0
 
+    def _latest(self) -> tuple[Path, int] | None:
+        """The result or the latest snapshot, and when it was written. What a run was stopped with is older than the
+        snapshots it takes once it is resumed; of a finished run the result counts, however its files were copied."""
+        paths = (self.folder / MESH_NAME, self.folder / FOLDER / LIVE)
+        found = [(path, stamp) for path in paths if (stamp := _written(path)) is not None]
+        if run_status(self.folder) == "finished":
+            found = found[:1]
+        return max(found, key=lambda each: each[1], default=None)
+
     def _result(self) -> Frame:
         vertices, faces, colors = read_colored_mesh(self.folder / MESH_NAME)
         path = self.folder / "gaussians.ply"
@@ -133,3 +147,11 @@ class RunFolder:
             colors=np.full(vertices.shape, 0.7, np.float32) if colors is None else colors.astype(np.float32),
             gaussians=read_gaussians_ply(path) if path.exists() else None,
         )
+
+
+def _written(path: Path) -> int | None:
+    """When, in nanoseconds; None if there is no such file."""
+    try:
+        return path.stat().st_mtime_ns
+    except FileNotFoundError:
+        return None

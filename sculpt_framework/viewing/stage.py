@@ -15,6 +15,7 @@ from sculpt_framework.viewing.cameras import CameraTab
 from sculpt_framework.viewing.colors import COLORS, MODES, paint
 from sculpt_framework.viewing.frames import Frame, read_frame, step_files
 from sculpt_framework.viewing.layers import show_box, show_cells, show_mesh, show_splats, show_wireframe
+from sculpt_framework.viewing.markdown import plain
 from sculpt_framework.viewing.run_folder import RunFolder
 from sculpt_framework.viewing.server import look_from_aside
 
@@ -89,7 +90,7 @@ class Stage:
 
     def do_without_scene(self, reason: str) -> None:
         """Called instead if they cannot be read."""
-        self._cameras.text.content = f"No photographs: {reason}"
+        self._cameras.text.content = f"No photographs: {plain(reason)}"
 
     def hide_gaussians(self) -> None:
         """Show the mesh in place of the Gaussians, which a page paints over the handles of a box."""
@@ -130,7 +131,7 @@ class Stage:
                 self._stamp = stamp
                 self._newest = self._run.newest()
         except SculptError as error:
-            self._step_text.content = f"**{error}**"
+            self._step_text.content = f"**{plain(error)}**"
         return self._newest
 
     def _read_reference(self) -> None:

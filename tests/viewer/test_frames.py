@@ -94,6 +94,36 @@ def test_a_run_is_running_silent_or_ended(tmp_path: Path):
     assert run.status == "stopped"
 
 
+def test_a_run_that_goes_on_after_it_was_stopped_shows_what_is_newer(tmp_path: Path):
+    import os
+
+    run = RunFolder(make_run(tmp_path))
+    frame = run.newest()
+    assert frame is not None
+    write_mesh_ply(tmp_path / "mesh.ply", frame.vertices, frame.faces, frame.colors)
+    (tmp_path / "metrics.json").write_text('{"status": "stopped"}')
+    with open(tmp_path / "events.jsonl", "a") as file:
+        file.write(line("run_ended", 20, 2.0, status="stopped"))
+    run.read_news()
+    assert run.status == "stopped"
+    with open(tmp_path / "events.jsonl", "a") as file:
+        file.write(line("run_started", 20, 2.0, scene="shape", method="tiny", box=None, reference=None))
+    run.read_news()
+    assert run.status == "running"
+    stamp = run.live_stamp
+    write_frame(tmp_path / FOLDER / LIVE, octahedron(1.1), outer=30, t_train=3.0, whole=True)
+    os.utime(tmp_path / "mesh.ply", (1e9, 1e9))
+    assert run.live_stamp != stamp
+    shown = run.newest()
+    assert shown is not None
+    assert shown.outer == 30
+    # Of a finished run the result counts, also where copying has made its files alike in age.
+    (tmp_path / "metrics.json").write_text('{"status": "finished"}')
+    result = run.newest()
+    assert result is not None
+    assert result.outer == -1
+
+
 def test_a_killed_run_without_a_checkpoint_shows_its_last_recorded_step(tmp_path: Path):
     import os
 

@@ -26,6 +26,7 @@ from sculpt_framework.engine.run import run
 from sculpt_framework.errors import ConfigError, DataError
 from sculpt_framework.testing.viewer_client import announce, connected, find_control, received, send, set_control
 from sculpt_framework.types import Scene
+from sculpt_framework.viewing.address import check_address
 from sculpt_framework.viewing.frames import FOLDER, LIVE, step_files, write_frame
 from sculpt_framework.viewing.html import write_html
 from sculpt_framework.viewing.run_folder import RunFolder
@@ -98,6 +99,34 @@ def test_what_was_planned_stands_before_what_was_decided(show: Show):
     first, second = show.overview.plan.content.splitlines()
     assert first == "- plan, views: 80 of 100; 20 see nothing (`--plan.views off` takes it back)"
     assert "initial surface" in second
+
+
+def test_a_method_without_gaussians_is_shown(show: Show):
+    step = {"progress": 0.3, "loss": 0.05, "faces": 9, "rss_mb": 101.0, "psnr": None, "eta_s": None, "stretches": 7}
+    show.overview.hear([{"event": "outer_step", "t_train": 3.0, "outer": 30, "data": step}])
+    assert "9 faces, 101 MB, loss 0.05" in show.overview.text.content
+
+
+def test_names_and_messages_are_shown_as_they_are(show: Show):
+    bad = "<img src=x onerror=alert(1)> *a* ![b](c)\n\n# d"
+    said = r"\<img src=x onerror=alert(1)\> \*a\* \!\[b\](c) \# d"
+    row = {"item": bad, "value": bad, "evidence": bad, "override": "`<b>`"}
+    show.run.started = {"scene": bad, "method": bad}
+    show.overview.hear(
+        [
+            {"event": "plan", "t_train": 0.0, "outer": 0, "data": {"decisions": [row], "kept": []}},
+            {"event": "warning", "t_train": 0.0, "outer": 0, "data": {"message": bad}},
+            {"event": "decision", "t_train": 0.0, "outer": 0, "data": {"item": bad}},
+        ]
+    )
+    assert show.overview.text.content.startswith(f"**{said}** by *{said}*")
+    assert show.overview.plan.content.splitlines()[-3:] == [
+        f"- plan, {said}: {said}; {said} (`<b>` takes it back)",
+        f"- 0.0 s, warning: {said}",
+        f"- 0.0 s, decision: item {said}",
+    ]
+    show.stage.do_without_scene(bad)
+    assert repr(f"No photographs: {said}")[1:-1] in str(told(show))
 
 
 def test_switches_add_layers(show: Show):
@@ -269,6 +298,15 @@ def test_a_port_that_is_taken_is_said_before_a_run_has_a_folder(show: Show, tmp_
         run(method, resume=None, started=0.0)
     assert "\n" not in str(error.value)
     assert not folder.exists()
+
+
+def test_a_machine_without_this_kind_of_address_says_so_in_one_line(monkeypatch: pytest.MonkeyPatch):
+    def refuse(*arguments: object) -> None:
+        raise OSError(97, "Address family not supported by protocol")
+
+    monkeypatch.setattr("sculpt_framework.viewing.address.socket.socket", refuse)
+    with pytest.raises(ConfigError, match=r"cannot listen on ::1:7007 \(Address family .*choose another --port"):
+        check_address("::1", 7007, "--port")
 
 
 def test_a_run_without_a_viewer_imports_none_of_it():

@@ -71,8 +71,9 @@ def told_apart(records: Sequence[RunRecord]) -> list[RunRecord]:
         words = [_word(key, settings.get(key)) for key in differing]
         told = ", ".join(words[:_SHOWN_AT_MOST])
         if len(words) > _SHOWN_AT_MOST:
-            variants = [tuple(each.get(key) for key in differing) for each in others]
-            number = list(dict.fromkeys(variants)).index(tuple(settings.get(key) for key in differing)) + 1
+            # Values may be lists.
+            variants = [repr([each.get(key) for key in differing]) for each in others]
+            number = list(dict.fromkeys(variants)).index(repr([settings.get(key) for key in differing])) + 1
             told = f"variant {number}: {told}, ..."
         out.append(replace(record, method=told if alone else f"{record.method} ({told})"))
     return out

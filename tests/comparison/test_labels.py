@@ -67,6 +67,13 @@ def test_many_differences_are_counted(tmp_path: Path):
     assert len(set(methods(tmp_path))) == 3
 
 
+def test_many_differences_may_hold_lists(tmp_path: Path):
+    for index in range(2):
+        settings = {"p": index, "q": [index, 1], "r": index, "s": {"levels": [index]}}
+        write_run(tmp_path / str(index), ROWS, config={"trainer": settings})
+    assert methods(tmp_path) == ["variant 1: p 0, q [0, 1], r 0, ...", "variant 2: p 1, q [1, 1], r 1, ..."]
+
+
 def test_a_label_is_a_method_and_may_hold_several_seeds(tmp_path: Path):
     write_run(tmp_path / "a" / "0", ROWS)
     write_run(tmp_path / "a" / "1", ROWS, config={"seed": 1, "field": {"type": "mlp"}})

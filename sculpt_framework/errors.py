@@ -27,6 +27,10 @@ class ComponentImportError(ConfigError):
     """A registered component's package cannot be imported; the message names the package."""
 
 
+class JobRefusedError(ConfigError):
+    """A scheduler does not take a job; it may once others have ended."""
+
+
 class DataError(SculptError):
     """The scene on disk is missing, malformed or cannot be reconstructed."""
 

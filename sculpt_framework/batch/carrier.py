@@ -3,6 +3,7 @@
 import os
 import signal
 import subprocess
+import sys
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -21,8 +22,8 @@ _LISTEN_SECONDS = 1.0
 def carry(command: Sequence[str], log: str, environment: Mapping[str, str]) -> int:
     """Run the command until it ends and return its exit code.
 
-    Being asked to end (SIGTERM, KeyboardInterrupt) is passed on to the run as Ctrl-C, so that it saves. If this process
-    is killed, so is the run. Raises OutputError where the log cannot be written.
+    Being asked to end (SIGTERM, SIGUSR2, KeyboardInterrupt) is passed on to the run as Ctrl-C, so that it saves. If
+    this process is killed, so is the run. Raises OutputError where the log cannot be written.
     """
     die_with_parent()
     with _terminate_as_interrupt():
@@ -56,8 +57,10 @@ def _wait_or_kill(process: subprocess.Popen[bytes]) -> int:
 
 @contextmanager
 def _heeding_interrupts() -> Iterator[None]:
-    """Processes inherit which signals are blocked, and Ray's workers block SIGINT: a run would never hear of it."""
+    """Processes inherit which signals are blocked, and Ray's workers block SIGINT: a run would never hear of it. Of
+    SIGUSR2, which Slurm may send to all processes of a job and which would end a run, it is not to hear."""
     blocked = signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGUSR2})
     try:
         yield
     finally:
@@ -66,14 +69,18 @@ def _heeding_interrupts() -> Iterator[None]:
 
 @contextmanager
 def _terminate_as_interrupt() -> Iterator[None]:
+    """SIGTERM, and SIGUSR2, by which Slurm says that the time of a job is almost over, end as Ctrl-C does."""
+
     def handle(number: int, frame: FrameType | None) -> None:
         raise KeyboardInterrupt
 
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    previous = signal.signal(signal.SIGTERM, handle)
+    numbers = (signal.SIGTERM,) if sys.platform == "win32" else (signal.SIGTERM, signal.SIGUSR2)
+    previous = [(number, signal.signal(number, handle)) for number in numbers]
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, previous)
+        for number, handler in previous:
+            signal.signal(number, handler)

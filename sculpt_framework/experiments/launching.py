@@ -50,7 +50,7 @@ class Engine(ABC):
 
     @abstractmethod
     def start(self, order: Order) -> Job:
-        """Raises OutputError where the log cannot be written."""
+        """Raises OutputError where the log cannot be written, JobRefusedError where a scheduler takes no more now."""
 
     @abstractmethod
     def close(self) -> None:

@@ -15,7 +15,7 @@ from pathlib import Path
 from types import FrameType
 
 from sculpt_framework.comparison.labels import ASIDE
-from sculpt_framework.errors import CheckpointError, OutputError
+from sculpt_framework.errors import CheckpointError, JobRefusedError, OutputError
 from sculpt_framework.experiments.launching import Engine, Job, LocalEngine, Order
 from sculpt_framework.experiments.ledger import CellState, Ledger
 from sculpt_framework.experiments.matrix import Cell, Matrix, remember
@@ -91,7 +91,7 @@ def run_matrix(
 
     On KeyboardInterrupt (or SIGTERM, SIGHUP) the running processes are stopped, the ledger is true, and the interrupt
     goes on to the caller. Raises ConfigError where the folder belongs to another matrix or process, OutputError where
-    it cannot be written.
+    it cannot be written, JobRefusedError where the engine takes no run though none is at work.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -142,15 +142,28 @@ def _work_off(
 ) -> None:
     running: list[Attempt] = []
     left = {cell.name: retries for cell in waiting}
+    refused = told = False
     try:
         while waiting or running:
-            while waiting and len(running) < jobs:
+            while waiting and len(running) < jobs and not refused:
                 cell = waiting.popleft()
-                running.append(_start(cell, folder, ledger, command, engine))
+                try:
+                    running.append(_start(cell, folder, ledger, command, engine))
+                except JobRefusedError as error:
+                    if not running:
+                        raise
+                    # What runs is worth more than what waits: it is handed in again when there is one less.
+                    waiting.appendleft(cell)
+                    refused = True
+                    if not told:
+                        board.warned(f"{cell.name} has to wait until another run has ended: {error}")
+                    told = True
+                    continue
                 board.started(cell, running[-1].resumed)
             time.sleep(_POLL_SECONDS)
             for attempt, code in [(each, code) for each in running if (code := each.job.poll()) is not None]:
                 running.remove(attempt)
+                refused = False
                 cell = attempt.cell
                 if _must_start_again(attempt, code, folder):
                     _set_aside(run_folder(folder, cell))
@@ -188,7 +201,11 @@ def _start(cell: Cell, folder: Path, ledger: Ledger, command: Sequence[str], eng
     ledger.set(cell.name, CellState(status="running", attempts=state.attempts + 1))
     log = run_dir.with_name(f"{run_dir.name}.log")
     began = time.monotonic()
-    job = engine.start(Order(name=cell.name, command=(*command, *words), log=log))
+    try:
+        job = engine.start(Order(name=cell.name, command=(*command, *words), log=log))
+    except JobRefusedError:
+        ledger.set(cell.name, state)
+        raise
     return Attempt(cell=cell, job=job, log=log, began=began, resumed=resumed)
 
 

@@ -2,10 +2,12 @@
 
 import importlib.util
 import json
+import os
 import re
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -195,6 +197,40 @@ def test_a_run_hears_of_interrupts_though_its_worker_blocks_them(tmp_path: Path)
     assert log.read_text() == "False\n"
 
 
+SAVES = """
+import pathlib, signal, sys, time
+def stop(number, frame):
+    print("saved")
+    sys.exit(0)
+signal.signal(signal.SIGINT, stop)
+print("deaf" if signal.SIGUSR2 in signal.pthread_sigmask(signal.SIG_BLOCK, ()) else "ends by SIGUSR2")
+pathlib.Path(sys.argv[1]).touch()
+time.sleep(60)
+"""
+
+
+def test_a_run_saves_before_the_time_of_its_job_is_over(tmp_path: Path):
+    def submitit(number: int, frame: object) -> None:
+        raise RuntimeError("Job not requeued because: timed-out and not checkpointable.")
+
+    def warn() -> None:
+        while not ready.exists():
+            time.sleep(0.02)
+        os.kill(os.getpid(), signal.SIGUSR2)
+
+    ready, log = tmp_path / "ready", tmp_path / "run.log"
+    before = signal.signal(signal.SIGUSR2, submitit)
+    scheduler = threading.Thread(target=warn)
+    scheduler.start()
+    try:
+        assert carry((sys.executable, "-S", "-c", SAVES, str(ready)), str(log), {}) == 0
+        scheduler.join()
+        assert signal.getsignal(signal.SIGUSR2) is submitit
+    finally:
+        signal.signal(signal.SIGUSR2, before)
+    assert log.read_text() == "deaf\nsaved\n"
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -205,6 +241,8 @@ def test_a_run_hears_of_interrupts_though_its_worker_blocks_them(tmp_path: Path)
         ("--slurm partition=long", "need --engine slurm"),
         ("--engine slurm --slurm-executor local --slurm partition", "expected NAME=VALUE"),
         ("--engine slurm --slurm-executor local --slurm cpus-per-task=3", "follows from the other options"),
+        ("--engine slurm --slurm-executor local --slurm time=10", "--slurm-minutes); leave it out"),
+        ("--engine slurm --slurm-executor local --slurm job-name=mine", "leave it out"),
         ("--engine slurm", "there is no sbatch on this machine"),
         ("-- --output x", "--output cannot be given to all runs"),
         ("-- --fieldd mlp", "there is no option --fieldd"),
@@ -220,6 +258,38 @@ def test_mistakes_cost_nothing(
     with pytest.raises(SculptError, match=re.escape(message)):
         batch([str(folder), TINY, "--out", "out", *words.split()])
     assert not (tmp_path / "out" / "runs").exists()
+
+
+SBATCH = """#!/bin/sh
+cp "$1" "$(dirname "$0")/script"
+echo 'sbatch: error: invalid partition specified: moon' >&2
+echo 'sbatch: error: Batch job submission failed' >&2
+exit 1
+"""
+
+
+def test_a_job_that_slurm_refuses_is_one_line(
+    fake: None,
+    make_scenes: MakeScenes,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+):
+    needed_for("slurm")
+    (tmp_path / "bin").mkdir()
+    for name in ("sbatch", "srun"):
+        (tmp_path / "bin" / name).write_text(SBATCH)
+        (tmp_path / "bin" / name).chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path / "bin"), prepend=":")
+    words = [str(make_scenes("mug")), TINY, "--out", "out", "--engine", "slurm", "--slurm", "partition=moon"]
+    with pytest.raises(ConfigError, match=r"sbatch takes no job \(.*partition specified: moon.*; mend --slurm"):
+        batch(words)
+    assert capsys.readouterr().err == ""
+    assert json.loads((tmp_path / "out" / "state.json").read_text())["cells"]["mug"]["status"] == "pending"
+    # What it would have been: tried again by the batch alone, and asked to save before its time is over.
+    script = (tmp_path / "bin" / "script").read_text()
+    assert "#SBATCH --no-requeue\n" in script
+    assert "#SBATCH --signal=USR2@90\n" in script
 
 
 @pytest.mark.parametrize(("engine", "package"), [("ray", "ray"), ("slurm", "submitit")])

@@ -13,7 +13,8 @@ import pytest
 from conftest import HERE, SilentBoard, started
 
 from sculpt_framework.engine.checkpoint import Progress, write_checkpoint
-from sculpt_framework.errors import ConfigError, OutputError
+from sculpt_framework.errors import ConfigError, JobRefusedError, OutputError
+from sculpt_framework.experiments.launching import Engine, Job, LocalEngine, Order
 from sculpt_framework.experiments.ledger import CellState, Ledger
 from sculpt_framework.experiments.matrix import Cell, Matrix, remember
 from sculpt_framework.experiments.runner import ended_as, last_error, run_folder, run_matrix
@@ -174,6 +175,38 @@ def test_two_at_a_time_if_asked(make_matrix: MakeMatrix, board: SilentBoard, tmp
     matrix = Matrix(title="Test", cells=(one, replace(one, name="scene/other")), warm_ups={})
     ended = run_matrix(matrix, tmp_path, board, jobs=2)
     assert {state.status for state in ended.values()} == {"finished"}
+
+
+class Narrow(Engine):
+    """Takes so many at a time, whatever it is given."""
+
+    def __init__(self, most: int):
+        self._most, self._jobs, self._local = most, list[Job](), LocalEngine(8)
+
+    def start(self, order: Order) -> Job:
+        if sum(job.poll() is None for job in self._jobs) >= self._most:
+            raise JobRefusedError("the queue is full")
+        self._jobs.append(self._local.start(order))
+        return self._jobs[-1]
+
+    def close(self) -> None:
+        pass
+
+
+def test_what_a_scheduler_refuses_waits_for_the_end_of_another(
+    make_matrix: MakeMatrix, board: SilentBoard, tmp_path: Path
+):
+    ended = run_matrix(make_matrix(0, 1, 2, 10), tmp_path, board, jobs=4, engine=Narrow(2))
+    assert [state.status for state in ended.values()] == ["finished"] * 3 + ["failed"]
+    assert {state.attempts for state in ended.values()} == {1}
+    refusals = [each for each in board.said if "has to wait until another run has ended: the queue is full" in each]
+    assert len(refusals) == 1
+
+
+def test_a_scheduler_that_takes_nothing_ends_the_matrix(make_matrix: MakeMatrix, board: SilentBoard, tmp_path: Path):
+    with pytest.raises(ConfigError, match="the queue is full"):
+        run_matrix(make_matrix(0, 1), tmp_path, board, jobs=2, engine=Narrow(0))
+    assert states(make_matrix(0, 1), tmp_path) == {0: "pending", 1: "pending"}
 
 
 def test_one_at_a_time_otherwise(make_matrix: MakeMatrix, tmp_path: Path):

@@ -10,10 +10,13 @@ from sculpt_framework.evaluation.drawing import Bar, Dot, Drawing, Line, Path, S
 Point = tuple[float, float]
 _FINER = 2
 """Painted that much larger and then reduced, so that lines have smooth edges."""
+_PIXELS_AT_MOST = 80_000_000
+"""Of what is painted, 240 MB: a page of hundreds of panels has smaller ones."""
 
 
 def to_png(drawing: Drawing, scale: float = 2.0) -> bytes:
-    """The drawing with ``scale`` pixels of the picture per pixel of the drawing."""
+    """The drawing with ``scale`` pixels of the picture per pixel of the drawing, or fewer where that is too many."""
+    scale = min(scale, math.sqrt(_PIXELS_AT_MOST / (drawing.width * drawing.height)) / _FINER)
     factor = scale * _FINER
     canvas = Image.new("RGB", (round(drawing.width * factor), round(drawing.height * factor)), "white")
     pen = ImageDraw.Draw(canvas)
@@ -47,7 +50,7 @@ def _paint(canvas: Image.Image, pen: ImageDraw.ImageDraw, shape: Shape, factor: 
 
 
 def _write(canvas: Image.Image, pen: ImageDraw.ImageDraw, words: Words, factor: float) -> None:
-    font = ImageFont.load_default(words.size * factor)
+    font = ImageFont.load_default(max(1.0, words.size * factor))
     stroke = 0.35 * factor if words.bold else 0.0
     x, y = _times(words.place, factor)
     if not words.upwards:

@@ -43,6 +43,21 @@ def test_colours_are_kept_and_scale_enlarges():
     np.testing.assert_allclose(picture.reshape(-1, 3).mean(axis=0), [0x1F, 0x6F, 0xB4], atol=2)
 
 
+def test_a_sheet_of_a_thousand_panels_fits_into_memory(monkeypatch: pytest.MonkeyPatch):
+    new = Image.new
+
+    def bounded(mode: str, size: tuple[int, int], *more: object) -> Image.Image:
+        assert size[0] * size[1] <= 1.05e6
+        return new(mode, size, *more)
+
+    monkeypatch.setattr("sculpt_framework.evaluation.drawing_png._PIXELS_AT_MOST", 1_000_000)
+    monkeypatch.setattr("sculpt_framework.evaluation.drawing_png.Image.new", bounded)
+    shapes = [Words(place=(500.0, 150_000.0), text="H", color="#000000", upwards=up) for up in (False, True)]
+    tall = Drawing(title="t", width=1040.0, height=300_000.0, shapes=shapes)
+    picture = Image.open(io.BytesIO(to_png(tall)))
+    assert picture.height / picture.width == pytest.approx(300_000 / 1040, rel=0.05)
+
+
 def test_dashes_cover_about_half_the_way():
     def share(line: Line) -> float:
         return (pixels(drawing(line))[60, 20:180].min(axis=1) < 128).mean()

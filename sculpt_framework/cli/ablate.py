@@ -108,7 +108,7 @@ def _check_plan(
 ) -> None:
     from sculpt_framework.experiments.carry_out import carry_out
     from sculpt_framework.experiments.matrix import Budget, cross, matrix_scenes
-    from sculpt_framework.experiments.plan_check import LEVELS, plan_notes, plan_settings, plan_table
+    from sculpt_framework.experiments.plan_check import LEVELS, plan_notes, plan_settings, plan_tables
     from sculpt_framework.experiments.results import results_csv
 
     budgets = [Budget(kind=kind, amount=amount) for kind, amount in amounts.items()] if request.budget else [None]
@@ -117,7 +117,7 @@ def _check_plan(
     carry_out(
         cross(title, settings, scenes, budgets, request.seeds, extra),
         request.out,
-        lambda results: ([plan_table(results)], plan_notes(), results_csv(results, LEVELS)),
+        lambda results: (plan_tables(results, budgets), plan_notes(), results_csv(results, LEVELS)),
         asked=(PROGRAM, *words),
         jobs=request.jobs,
         retry_failed=request.retry_failed,

@@ -99,7 +99,7 @@ def lines(results: Sequence[CellResult], suite: Suite, against: Sequence[str], f
         ]
         for name in against:
             if (found := measured_external(folder, data, name)) is not None:
-                out.append(_of_external(labels[0], name, found))
+                out.append(_of_external(labels[0], _called(name, against), found))
     return out
 
 
@@ -192,10 +192,16 @@ def _of_run(cell: Cell, record: RunRecord, kept: Measured) -> Line:
     )
 
 
+def _called(name: str, against: Sequence[str]) -> str:
+    """A file without its ending, unless another differs from it in that alone."""
+    stem = Path(name).stem
+    return stem if [Path(each).stem for each in dict.fromkeys(against)].count(stem) == 1 else name
+
+
 def _of_external(capture: str, name: str, found: Measured) -> Line:
     return Line(
         capture=capture,
-        name=Path(name).stem,
+        name=name,
         seed=None,
         values=found.values,
         failed=False,

@@ -6,10 +6,10 @@ from pathlib import Path
 
 from rich.console import Console
 
-from sculpt_framework.errors import ConfigError, TrainingFailed
+from sculpt_framework.errors import TrainingFailed
 from sculpt_framework.experiments.board import ConsoleBoard
 from sculpt_framework.experiments.launching import Engine
-from sculpt_framework.experiments.matrix import Cell, Matrix
+from sculpt_framework.experiments.matrix import Cell, Matrix, require
 from sculpt_framework.experiments.results import CellResult, read_results
 from sculpt_framework.experiments.runner import run_matrix
 from sculpt_framework.experiments.tables import Table
@@ -41,8 +41,8 @@ def carry_out(
     makes report.html. ``retries``, ``command`` and ``engine`` are as in ``run_matrix``. Returns the results. Raises
     SculptError as the runner does, and TrainingFailed if every run failed.
     """
-    if not run and not folder.is_dir():
-        raise ConfigError(f"--show: there is no experiment in {folder}; leave --show out to run it.")
+    if not run:
+        require(matrix, folder)
     console = Console()
     board = ConsoleBoard(console, lambda cell: _result_line(matrix, folder, cell), jobs)
     try:

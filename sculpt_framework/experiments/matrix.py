@@ -210,20 +210,25 @@ def check_extra(extra: Sequence[str]) -> None:
             raise ConfigError(f"{option} cannot be given after --: it is what the runs of the experiment differ in.")
 
 
+def require(matrix: Matrix, folder: Path) -> None:
+    """Raise ConfigError unless the folder holds cells of the matrix, and none of the same name with other words."""
+    known = _cells_beside(matrix, folder)
+    if not known:
+        raise ConfigError(f"--show: there is no experiment in {folder}; leave --show out to run it.")
+    if known.keys().isdisjoint(cell.name for cell in matrix.cells):
+        raise ConfigError(
+            f"--show: {folder} holds another experiment; give another --out, or the options it was begun with."
+        )
+
+
 def remember(matrix: Matrix, folder: Path) -> None:
     """Write the matrix's cells beside those the folder knows already.
 
     Raises ConfigError if a cell of the same name was planned there with other words: its results answer another
     question. Raises OutputError where the folder cannot be written.
     """
-    known = _known_cells(folder / MATRIX_NAME)
+    known = _cells_beside(matrix, folder)
     for cell in matrix.cells:
-        before = known.get(cell.name)
-        if before is not None and tuple(before["words"]) != cell.words:
-            raise ConfigError(
-                f"{folder} holds another experiment: {cell.name} was run there as 'sculpt-train "
-                f"{' '.join(before['words'])}'. Give another --out, or the options it was begun with."
-            )
         known[cell.name] = {
             "scene": cell.scene,
             "setting": cell.setting,
@@ -237,6 +242,19 @@ def remember(matrix: Matrix, folder: Path) -> None:
     except OSError as error:
         raise OutputError(f"cannot write to {folder}: {error.strerror}; give another --out.") from error
     write_atomically(folder / MATRIX_NAME, (json_text(document, indent=1) + "\n").encode())
+
+
+def _cells_beside(matrix: Matrix, folder: Path) -> dict[str, Any]:
+    """The cells that the folder knows, none of which is one of the matrix with other words."""
+    known = _known_cells(folder / MATRIX_NAME)
+    for cell in matrix.cells:
+        before = known.get(cell.name)
+        if before is not None and tuple(before["words"]) != cell.words:
+            raise ConfigError(
+                f"{folder} holds another experiment: {cell.name} was run there as 'sculpt-train "
+                f"{' '.join(before['words'])}'. Give another --out, or the options it was begun with."
+            )
+    return known
 
 
 def _known_cells(path: Path) -> dict[str, Any]:

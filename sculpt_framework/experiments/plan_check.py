@@ -3,9 +3,9 @@
 import math
 from collections.abc import Sequence
 
-from sculpt_framework.comparison.runs import RunRecord
+from sculpt_framework.comparison.runs import Clock, RunRecord
 from sculpt_framework.comparison.statistics import median
-from sculpt_framework.experiments.matrix import Setting
+from sculpt_framework.experiments.matrix import Budget, Setting
 from sculpt_framework.experiments.results import CellResult, records
 from sculpt_framework.experiments.tables import UNKNOWN, Table, number
 
@@ -28,14 +28,18 @@ def plan_settings(method: str) -> tuple[Setting, Setting]:
     )
 
 
-def plan_table(results: Sequence[CellResult]) -> Table:
-    """A row per scene, medians over seeds, and one of the medians over scenes of the two ratios."""
+def plan_tables(results: Sequence[CellResult], budgets: Sequence[Budget | None]) -> list[Table]:
+    """For each budget a row per scene, medians over seeds, and one of the medians over scenes of the two ratios."""
+    return [_plan_table(results, budget) for budget in budgets]
+
+
+def _plan_table(results: Sequence[CellResult], budget: Budget | None) -> Table:
     rows, ratios = [], []
     for scene in dict.fromkeys(result.cell.scene for result in results):
-        found = records(results, scene=scene)
+        found = records(results, budget=budget.label if budget else "", scene=scene)
         error = {name: _median(found, name, "chamfer_ps", failed=math.inf) for name in LEVELS}
-        time = {name: _median(found, name, "t_train_s") for name in LEVELS}
-        work = {name: _median(found, name, "t_cpu_s") for name in LEVELS}
+        time = {name: _seconds(found, name, "train") for name in LEVELS}
+        work = {name: _seconds(found, name, "cpu") for name in LEVELS}
         memory = {name: _median(found, name, "rss_mb") for name in LEVELS}
         own = [_ratio(each) for each in (error, time, work)]
         ratios.append(own)
@@ -56,7 +60,7 @@ def plan_table(results: Sequence[CellResult]) -> Table:
     pairs = ("Chamfer, 1e-2", "train s", "CPU s")
     columns = tuple(word for name in pairs for word in (f"{name} planned", EVERYTHING, "ratio"))
     return Table(
-        title="The plan against everything on, same seeds",
+        title="The plan against everything on, same seeds" + (f", {budget.phrase} a run" if budget else ""),
         columns=("scene", *columns, "MB planned", EVERYTHING),
         rows=tuple(rows),
     )
@@ -74,6 +78,12 @@ def _median(found: Sequence[RunRecord], setting: str, name: str, *, failed: floa
     """A run that failed counts as ``failed``; as nothing by default: it has not cost what it would have."""
     values = [failed if each.failed else each.final.get(name) for each in found if each.method == setting]
     return median([float(value) for value in values if value is not None])
+
+
+def _seconds(found: Sequence[RunRecord], setting: str, clock: Clock) -> float | None:
+    """Of all processes of a run that was resumed; a failure counts as nothing, as above."""
+    values = [each.total_seconds(clock) for each in found if each.method == setting and not each.failed]
+    return median([value for value in values if value is not None])
 
 
 def _ratio(values: dict[str, float | None]) -> float | None:

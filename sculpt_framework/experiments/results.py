@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from sculpt_framework.comparison.runs import Measure, RunRecord, load_run
+from sculpt_framework.comparison.runs import Clock, Measure, RunRecord, load_run
 from sculpt_framework.comparison.statistics import median
 from sculpt_framework.errors import DataError
 from sculpt_framework.experiments.ledger import CellState, Ledger
@@ -16,6 +16,7 @@ from sculpt_framework.experiments.runner import run_folder
 
 MEASURES: tuple[Measure, ...] = ("chamfer", "fscore", "normal_consistency", "psnr", "ssim", "iou", "under10_pct")
 _FINALS = ("outer", "inner", "faces", "gaussians", "grid", "t_train_s", "t_wall_s", "t_cpu_s", "rss_mb")
+_CLOCKS: Mapping[str, Clock] = {"t_train_s": "train", "t_wall_s": "wall", "t_cpu_s": "cpu"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,12 +112,19 @@ def results_csv(results: Sequence[CellResult], levels: Mapping[str, Mapping[str,
                 *(cell.scene, budget_label(cell), cell.setting, *(named.get(factor, "") for factor in factors)),
                 *(cell.seed, result.state.status),
                 *(_cell(ended.result(measure) if ended else None) for measure in MEASURES),
-                *(_cell(ended.final.get(name) if ended else None) for name in _FINALS),
+                *(_cell(_final(ended, name) if ended else None) for name in _FINALS),
                 (record.reason if record is not None else result.state.error) or "",
             ]
         )
     return out.getvalue()
 
 
+def _final(record: RunRecord, name: str) -> float | int | None:
+    """A figure of metrics.json, but seconds of all processes of a run that was resumed."""
+    return record.total_seconds(_CLOCKS[name]) if name in _CLOCKS else record.final.get(name)
+
+
 def _cell(value: float | int | None) -> str:
-    return "" if value is None or not math.isfinite(value) else f"{value:.6g}"
+    if value is None or not math.isfinite(value):
+        return ""
+    return str(value) if isinstance(value, int) else f"{value:.6g}"

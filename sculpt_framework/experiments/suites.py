@@ -46,6 +46,8 @@ def find_suite(
     a mesh per scene, NAME.ply or so, for data that bring none. ``masks``: whether captures that have masks are taken
     with them, as if they had none, or as two scenes. Raises ConfigError, with what was found, where that is not there.
     """
+    if len(set(objects)) < len(objects):
+        raise ConfigError(f"--objects {' '.join(objects)}: expected each once.")
     if name == "demo":
         if folder is not None or references is not None:
             raise ConfigError("the suite demo needs no folder: its scenes and their references are built in.")

@@ -62,12 +62,22 @@ def test_an_ablation_from_words_to_tables(place: Path, capsys: pytest.CaptureFix
 
 
 def test_show_runs_nothing(place: Path, capsys: pytest.CaptureFixture[str]):
+    show = [*TWO, "--out", "out", "--show"]
     with pytest.raises(ConfigError, match="there is no experiment in out"):
-        ablate([*TWO, "--out", "out", "--show"])
+        ablate(show)
     (place / "out").mkdir()
-    ablate([*TWO, "--out", "out", "--show"])
-    assert "| default | yes | yes | yes | – |" in (place / "out" / "tables.md").read_text()
-    assert not (place / "out" / "started.txt").exists()
+    with pytest.raises(ConfigError, match="there is no experiment in out"):
+        ablate(show)
+    assert list((place / "out").iterdir()) == []
+    ablate([*TWO, "--out", "out", "--scenes", "demo:blob"])
+    tables, started = ((place / "out" / name).read_text() for name in ("tables.md", "started.txt"))
+    for other in (show, [*TWO, "--scenes", "demo:blob", "--out", "out", "--show", "--", "--threads", "1"]):
+        with pytest.raises(ConfigError, match="out holds another experiment"):
+            ablate(other)
+    assert (place / "out" / "tables.md").read_text() == tables
+    ablate([*show, "--scenes", "demo:dents", "demo:blob"])
+    assert "| default | yes | yes | yes | – | 1.000 |" in (place / "out" / "tables.md").read_text()
+    assert (place / "out" / "started.txt").read_text() == started
 
 
 def test_a_suite_from_words_to_tables(place: Path, capsys: pytest.CaptureFixture[str]):

@@ -17,6 +17,7 @@ from sculpt_framework.cli.evaluate import evaluate
 from sculpt_framework.errors import ConfigError, DataError, TrainingFailed
 from sculpt_framework.evaluation.mesh import load_mesh
 from sculpt_framework.experiments.capture_measures import Capture
+from sculpt_framework.experiments.matrix import Setting, cross, remember
 from sculpt_framework.experiments.runner import TRAIN
 from sculpt_framework.experiments.suites import find_suite
 
@@ -128,9 +129,16 @@ def test_a_mesh_or_capture_that_cannot_be_measured_is_a_row_that_says_why(captur
 
 def test_show_measures_nothing(captures: Path, capsys: pytest.CaptureFixture[str]):
     OUT.mkdir(parents=True)
+    setting = Setting(name="gaussian-sculpting", method="gaussian-sculpting")
+    scenes = find_suite("captures", captures, [], None).scenes
+    remember(cross("Suite captures", [setting], scenes, [None], [0], []), OUT)
+    (captures / "ball" / "openmvs.obj").write_bytes((captures / "ball" / "openmvs.ply").read_bytes())
     bench(["suite", "captures", "captures", "--against", "openmvs.ply", "--show"])
     assert "measuring" not in capsys.readouterr().out
-    assert [row["error"] for row in rows()] == ["not measured: not measured yet"]
+    assert [(row["mesh"], row["error"]) for row in rows()] == [("openmvs", "not measured: not measured yet")]
+    # Two files that differ in their endings alone are two meshes.
+    bench(["suite", "captures", "captures", "--against", "openmvs.ply", "openmvs.obj", "--show"])
+    assert [row["mesh"] for row in rows()] == ["openmvs.ply", "openmvs.obj"]
 
 
 def test_when_all_runs_fail_the_command_does(captures: Path):

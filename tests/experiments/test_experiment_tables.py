@@ -12,12 +12,13 @@ import pytest
 from rich.console import Console
 
 from sculpt_framework.comparison.runs import RunRecord
+from sculpt_framework.evaluation.curve import header_line, row_line
 from sculpt_framework.experiments.ablation import FACTORS, Ablation, ablation
 from sculpt_framework.experiments.ablation_tables import ablation_tables, notes, times_default
 from sculpt_framework.experiments.ledger import CellState, Ledger
 from sculpt_framework.experiments.matrix import Budget, Cell, Matrix, MatrixScene, cross
 from sculpt_framework.experiments.paper import ABLATION, NERF_SYNTHETIC, OMNIOBJECT3D, PaperTable
-from sculpt_framework.experiments.plan_check import plan_table
+from sculpt_framework.experiments.plan_check import plan_settings, plan_tables
 from sculpt_framework.experiments.results import CellResult, read_results, results_csv
 from sculpt_framework.experiments.runner import run_folder
 from sculpt_framework.experiments.suite_tables import our_table, paper_table
@@ -204,6 +205,40 @@ def test_text():
     assert [power(unit) for unit in (1e-2, 1e-3)] == ["1e-2", "1e-3"]
 
 
+def test_seconds_are_of_all_processes_of_a_run_and_whole_numbers_are_whole(tmp_path: Path):
+    settings = plan_settings("gaussian-sculpting")
+    matrix = cross("Test", settings, SCENES[:1], [None], [0], [])
+    for setting in settings:
+        put(tmp_path, matrix, f"dents/full/{setting.name}/seed-0", 0.01, t_train_s=9.0, t_wall_s=5.0, t_cpu_s=7.0)
+    # The planned run was interrupted after 30 s of CPU time and resumed.
+    rows = [
+        {"t_train_s": 4.0, "t_wall_s": 20.0, "t_cpu_s": 30.0},
+        {"t_train_s": 9.0, "t_wall_s": 5.0, "t_cpu_s": 7.0},
+    ]
+    run = run_folder(tmp_path, matrix.cells[0])
+    (run / "curve.csv").write_text(header_line() + "".join(map(row_line, rows)))
+    metrics = json.loads((run / "metrics.json").read_text())
+    metrics["final"]["faces"] = 12345678
+    (run / "metrics.json").write_text(json.dumps(metrics))
+    results = read_results(matrix, tmp_path)
+    (table,) = plan_tables(results, [None])
+    assert table.rows[0][7:10] == ("37.0", "7.0", "5.29")
+    planned = next(csv.DictReader(io.StringIO(results_csv(results, {}))))
+    assert [planned[name] for name in ("t_train_s", "t_wall_s", "t_cpu_s")] == ["9", "25", "37"]
+    assert planned["faces"] == "12345678"
+
+
+def test_plans_of_several_budgets_have_a_table_each(tmp_path: Path):
+    settings = plan_settings("gaussian-sculpting")
+    budgets = [Budget(kind="seconds", amount=40.0), Budget(kind="steps", amount=9.0)]
+    matrix = cross("Test", settings, SCENES[:1], budgets, [0], [])
+    for cell in matrix.cells:
+        put(tmp_path, matrix, cell.name, 0.01 if cell.timed else 0.03)
+    timed, counted = plan_tables(read_results(matrix, tmp_path), budgets)
+    assert [table.title.rpartition(", ")[2] for table in (timed, counted)] == ["40 s a run", "9 outer steps a run"]
+    assert [table.rows[0][1] for table in (timed, counted)] == ["1.000", "3.000"]
+
+
 def test_failures_count_in_the_table_of_plans():
     def result(setting: str, seed: int, chamfer: float | None) -> CellResult:
         cell = Cell(name=f"jar/{setting}/{seed}", scene="jar", setting=setting, budget=None, seed=seed, words=())
@@ -213,7 +248,7 @@ def test_failures_count_in_the_table_of_plans():
 
     results = [result("planned", seed, None if seed else 0.01) for seed in range(3)]
     results += [result("everything", seed, 0.01) for seed in range(3)]
-    (row, middle) = plan_table(results).rows
+    (row, middle) = plan_tables(results, [None])[0].rows
     assert row[1:4] == ("failed", "1.000", "failed")
     assert middle[3] == "failed"
     assert row[4:7] == ("10.0", "10.0", "1.00")

@@ -94,6 +94,8 @@ def test_mistakes(blender: Path, omniobject3d: Path, tmp_path: Path):
     cases = [
         (("demo", tmp_path, (), None), "needs no folder"),
         (("demo", None, ("blub",), None), "no such demo scene; there are blob"),
+        (("demo", None, ("blob", "gaps", "blob"), None), "--objects blob gaps blob: expected each once"),
+        (("blender", blender, ("ship", "ship"), None), "--objects ship ship: expected each once"),
         (("blender", None, (), None), "needs the folder of the data: sculpt-bench suite blender DIR"),
         (("blender", tmp_path / "no", (), None), "no such folder"),
         (("blender", empty, (), None), r"none of the paper's scenes \(chair, .*; there are none"),

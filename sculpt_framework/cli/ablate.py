@@ -14,6 +14,9 @@ from sculpt_framework.errors import ConfigError
 
 PROGRAM = "sculpt-ablate"
 PLAN = "--plan"
+Factor = Literal["constraints", "field", "isolation", "start", "evidence"]
+FACTORS: tuple[Factor, ...] = ("constraints", "field", "isolation", "start")
+"""The paper's ablations."""
 DEFAULT_BUDGETS = {"seconds": 120.0, "steps": 240.0}
 
 
@@ -30,12 +33,7 @@ class AblateRequest:
     """Seeds, one run of each setting for each. From three on the tables have intervals."""
     method: str = "gaussian-sculpting"
     """The method that parts are left out of."""
-    factors: tuple[Literal["constraints", "field", "isolation", "start", "evidence"], ...] = (
-        "constraints",
-        "field",
-        "isolation",
-        "start",
-    )
+    factors: tuple[Factor, ...] = FACTORS
     """What is varied: Table 3; neural or discrete SDF; gradient isolation; warm or cold start of the inner loop; and,
     on photographs, what the surface starts and learns from."""
     plan: Flag = False

@@ -27,8 +27,6 @@ OPACITY_OFF = frozenset({"none"})
 SCALE_OFF = frozenset({"no-scale", "only-opacity", "none"})
 DISTRIBUTION_OFF = frozenset({"no-distribution", "only-opacity", "none"})
 """Levels of the factor "constraints" at which each of the three is off."""
-FACTORS = ("constraints", "field", "isolation", "start")
-"""The paper's ablations."""
 EVIDENCE = "evidence"
 """What the surface starts and learns from, where a plan decides it by the photographs (docs/background/plan.md)."""
 DEFAULT = "default"

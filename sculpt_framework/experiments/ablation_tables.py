@@ -31,7 +31,7 @@ def summary_table(results: Sequence[CellResult], made: Ablation, budget: Budget)
     scenes = list(dict.fromkeys(result.cell.scene for result in results))
     found = records(results, budget=budget.label)
     cells = {(cell.method, cell.scene): cell for cell in summarize(found, "chamfer")}
-    paper_full = ABLATION["all"].cd
+    paper_full = ABLATION["all"]
     rows = []
     for setting in made.settings:
         levels = made.levels[setting.name]
@@ -43,8 +43,8 @@ def summary_table(results: Sequence[CellResult], made: Ablation, budget: Budget)
                 *(_tick(constraints not in off) for off in (OPACITY_OFF, SCALE_OFF, DISTRIBUTION_OFF)),
                 *(_chamfer(cells.get((setting.name, scene))) for scene in scenes),
                 number(times_default(found, setting.name, scenes), 2),
-                UNKNOWN if paper is None else f"{paper.cd:.2f}",
-                UNKNOWN if paper is None else f"{paper.cd / paper_full:.2f}",
+                UNKNOWN if paper is None else f"{paper:.2f}",
+                UNKNOWN if paper is None else f"{paper / paper_full:.2f}",
             )
         )
     return Table(

@@ -11,7 +11,6 @@ from sculpt_framework.errors import ConfigError, DataError
 from sculpt_framework.experiments.matrix import MatrixScene, absolute_data, folder_name
 from sculpt_framework.experiments.paper import NERF_SYNTHETIC, OMNIOBJECT3D, PaperTable
 
-SUITES = ("demo", "blender", "omniobject3d", "captures")
 Masks = Literal["with", "without", "both"]
 WITHOUT_MASKS = "-without-masks"
 """What the label of a capture whose masks are ignored ends in."""

@@ -7,10 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from sculpt_framework.cli.ablate import FACTORS
 from sculpt_framework.command_line.request import parse
 from sculpt_framework.config import MethodConfig
 from sculpt_framework.errors import ConfigError
-from sculpt_framework.experiments.ablation import DEFAULT, EVIDENCE, FACTORS, Ablation, ablation
+from sculpt_framework.experiments.ablation import DEFAULT, EVIDENCE, Ablation, ablation
 from sculpt_framework.experiments.matrix import (
     Budget,
     MatrixScene,

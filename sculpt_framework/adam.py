@@ -75,11 +75,13 @@ class Adam:
         return {f"{index}.{name}": value for index, state in self._moments.items() for name, value in state.items()}
 
     def load_state(self, state: Mapping[str, Tensor]) -> None:
-        """Inverse of ``state``."""
-        self._moments = {}
+        """Inverse of ``state``, wherever that lies. Raises KeyError for a parameter there is not."""
+        self._moments, parameters = {}, dict(enumerate(self.parameters))
         for name, value in state.items():
             index, _, entry = name.partition(".")
-            self._moments.setdefault(int(index), {})[entry] = value.clone()
+            # Steps are counted on the CPU, wherever parameters are.
+            device = torch.device("cpu") if entry == "step" else parameters[int(index)].device
+            self._moments.setdefault(int(index), {})[entry] = value.to(device).clone()
 
 
 def move_rows(

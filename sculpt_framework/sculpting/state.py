@@ -36,13 +36,14 @@ def capture(trainer: BiLevelTrainer, stage: int, generator: torch.Generator) -> 
 
 
 def restore(trainer: BiLevelTrainer, generator: torch.Generator, state: Mapping[str, Tensor]) -> None:
-    """Inverse of ``capture``; the extractor must already be on the captured stage's level.
+    """Inverse of ``capture``, wherever the state lies; the extractor must already be on the captured stage's level.
 
     Raises KeyError where an entry is missing.
     """
+    device = next(trainer.field.parameters()).device
     # The surface of another state: what follows must extract its own.
     trainer.extraction = None
-    trainer.seeds = state["seeds"].clone()
+    trainer.seeds = state["seeds"].to(device).clone()
     trainer.views.order = state["view_order"].tolist()
     trainer.inner_total = int(state["inner_total"])
     generator.set_state(state["random"].clone())
@@ -52,8 +53,8 @@ def restore(trainer: BiLevelTrainer, generator: torch.Generator, state: Mapping[
     if trainer.scene.shared_optimizer is not None:
         trainer.scene.shared_optimizer.load_state(_get(state, "appearance_optimizer"))
     for name, table in trainer.extractor.tables.items():
-        table.load_state(_get(state, f"extractor.{name}"))
-    trainer.scene.load_state(_get(state, "scene"))
+        table.load_state(_moved(_get(state, f"extractor.{name}"), device))
+    trainer.scene.load_state(_moved(_get(state, "scene"), device))
     trainer.own.load_state(_get(state, "terms"))
     trainer.gating.load_state(_get(state, "resting"))
     if trainer.background is not None:
@@ -90,3 +91,7 @@ def _put(state: dict[str, Tensor], prefix: str, entries: Mapping[str, Tensor]) -
 
 def _get(state: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
     return {name[len(prefix) + 1 :]: value for name, value in state.items() if name.startswith(f"{prefix}/")}
+
+
+def _moved(state: Mapping[str, Tensor], device: torch.device) -> dict[str, Tensor]:
+    return {name: value.to(device) for name, value in state.items()}

@@ -1,7 +1,7 @@
 """What CUDA will be asked for: training away from the CPU, none of whose kernels takes part."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
@@ -16,6 +16,7 @@ from torch import Tensor
 import sculpt_framework as sculpt
 from sculpt_framework import device, registry
 from sculpt_framework.config import MethodConfig, RasterizerConfig
+from sculpt_framework.engine.checkpoint import Progress, Saved
 from sculpt_framework.free_gaussians.config import FreeGaussiansConfig
 from sculpt_framework.posed_images import training_images
 from sculpt_framework.rasterizers import Rasterizer, RasterOutput
@@ -24,6 +25,7 @@ from sculpt_framework.sculpting.config import of_sculpting
 from sculpt_framework.types import Camera, Scene
 from sculpt_framework.volume_rendering import reconstructor as volume_reconstructor
 from sculpt_framework.volume_rendering.config import VolumeConfig
+from sculpt_plugins.extractors.flexicubes.config import FlexiCubesConfig
 from sculpt_plugins.initializers.stereo.config import StereoConfig
 from sculpt_plugins.losses.bending.config import BendingConfig
 from sculpt_plugins.losses.consistency import loss as consistency
@@ -167,7 +169,28 @@ def test_free_gaussians_live_on_another_device(name: str, scene: Scene, monkeypa
 
 
 def assert_lives(config: MethodConfig, scene: Scene) -> None:
-    session = sculpt.Session(scene, config)
-    mesh = session.run()
+    """To its end, and from a checkpoint in between, whose tensors are on the CPU, to the same."""
+    saved: list[Saved] = []
+
+    def save(state: Mapping[str, Tensor], progress: Progress) -> None:
+        saved.append(({name: value.detach().cpu() for name, value in state.items()}, progress))
+
+    session = sculpt.Session(scene, config, save_state=save)
+    for report in session:
+        if report.step == 2:
+            session.save_checkpoint()
+    mesh = session.mesh()
     assert np.isfinite(mesh.vertices).all()
     assert torch.isfinite(session.render(scene.train[0].camera).rgb.cpu()).all()
+    again = sculpt.Session(scene, session.config, saved=saved[0]).run()
+    np.testing.assert_array_equal(again.faces, mesh.faces)
+    np.testing.assert_array_equal(again.vertices, mesh.vertices)
+    np.testing.assert_array_equal(again.colors, mesh.colors)
+
+
+def test_sculpting_goes_on_from_the_cpu(scene: Scene, monkeypatch: pytest.MonkeyPatch):
+    stages = (replace(ONE_STAGE[0], image_scale=0.5, inner_steps=1),)
+    learnable = FlexiCubesConfig(learn_deformation=True)
+    config = small_config(steps=3, stages=stages, fit_steps=10, polish_steps=0, extractor=learnable, base_cells=6)
+    with everything_away(monkeypatch):
+        assert_lives(replace(config, rasterizer=AcrossConfig(drawing=NumbaRasterizerConfig())), scene)

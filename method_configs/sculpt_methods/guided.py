@@ -29,7 +29,6 @@ def gaussians_3dgsr() -> Gaussians3dgsrConfig:
             depth=0.1,  # 4.2; ours
             normal=0.01,  # 4.2; ours
         ),
-        radiance=rays.radiance,
         field=rays.field,
         rasterizer=splats.rasterizer,
         extractor=splats.extractor,

@@ -118,7 +118,8 @@ def relightable_paper() -> RelightableConfig:
 
 def gaussians_3dgsr_paper() -> Gaussians3dgsrConfig:
     """3DGSR at the length of 3DGS; for a GPU."""
-    return _with_length(replace(guided.gaussians_3dgsr(), method="3dgsr-paper"))
+    long = _with_length(replace(guided.gaussians_3dgsr(), method="3dgsr-paper"))
+    return replace(long, density=replace(long.density, reset_every=0))  # opacities follow the field
 
 
 def gsdf_paper() -> GsdfConfig:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from sculpt_framework.config import FieldConfig, RasterizerConfig
 from sculpt_framework.free_gaussians.config import FreeGaussiansConfig
-from sculpt_framework.ranges import above, at_least, between
+from sculpt_framework.ranges import above, at_least
 from sculpt_framework.volume_rendering.config import RadianceConfig, SdfShape, ShapeWeights
 
 if TYPE_CHECKING:
@@ -60,10 +60,7 @@ class GuidedGaussiansConfig(FreeGaussiansConfig, ABC):
     """Of the grid the mesh is extracted on, along the box's longest side; rounded down to a multiple of four."""
     low_pass_px2: Annotated[float, at_least(0)] = 0.3
     """Variance that every Gaussian gains in the image, square pixels."""
-    field_from: Annotated[float, between(0, 1)] = 0.0
-    """Share of the run from which on the field learns; the Gaussians are alone before."""
     rays: RaysConfig = RaysConfig()
-    radiance: RadianceConfig
     agreement: AgreementConfig = AgreementConfig()
     field: FieldConfig
     rasterizer: RasterizerConfig
@@ -72,12 +69,22 @@ class GuidedGaussiansConfig(FreeGaussiansConfig, ABC):
     def build_guide(self) -> "Guide":
         """As it is before anything is learned, on the CPU. What is random in it follows torch's own generator."""
 
+    @property
+    def alone_until(self) -> float:
+        """Share of the run from which on the field learns; the Gaussians are alone before."""
+        return 0.0
+
+    @property
+    def ray_colors(self) -> RadianceConfig | None:
+        """What the colours that rays bring are made of; None where they bring none."""
+        return None
+
     def build_volume(self) -> "LogisticVolume":
         from sculpt_framework.volume_rendering.logistic import LogisticVolume
 
         shape = SdfShape(
             field=self.field,
-            radiance=self.radiance,
+            radiance=self.ray_colors,
             weights=ShapeWeights(eikonal=self.rays.eikonal_weight),
             mesh_cells=self.mesh_cells,
         )

@@ -55,7 +55,7 @@ class GuidedGaussiansReconstructor(Reconstructor):
         half_sides = scene.box.half_sides.to(self._device)
         self._splats = Splats.at_random(half_sides, config.gaussians, config.sh_degree, config.rates, self._generator)
         self._taken = 0
-        self._joint = config.field_from == 0
+        self._joint = config.alone_until == 0
         """Whether the field learns."""
         self._mesh: Mesh | None = None
         self._faces = 0
@@ -67,7 +67,7 @@ class GuidedGaussiansReconstructor(Reconstructor):
         self._look(afresh=True)
 
     def settle(self, moment: Moment) -> None:
-        self._joint = moment.progress >= self._config.field_from
+        self._joint = moment.progress >= self._config.alone_until
 
     @property
     def stage(self) -> int:
@@ -75,7 +75,7 @@ class GuidedGaussiansReconstructor(Reconstructor):
 
     @property
     def stages(self) -> int:
-        return 1 if self._config.field_from == 0 else 2
+        return 1 if self._config.alone_until == 0 else 2
 
     def step(self, moment: Moment) -> StepReport:
         config, splats, image = self._config, self._splats, self._next_image()
@@ -203,7 +203,9 @@ class GuidedGaussiansReconstructor(Reconstructor):
         return {name: value.detach().clone().contiguous() for name, value in every.items()}
 
     def load_state(self, state: Mapping[str, Tensor]) -> None:
-        self._guide.load_state_dict(state_below(state, "guide/"))
+        guide = state_below(state, "guide/")
+        # An earlier version's has colours also where rays bring none.
+        self._guide.load_state_dict({name: guide[name] for name in self._guide.state_dict()})
         self._optimizer.load_state(state_below(state, "guide_optimizer/"))
         splats = {name: value.to(self._device) for name, value in state.items() if name not in _OWN and "/" not in name}
         self._splats = Splats.of_state(splats, self._config.rates)

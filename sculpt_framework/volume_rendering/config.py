@@ -105,7 +105,8 @@ class SdfShape:
     field: FieldConfig
     field_rate: float = 1.0
     """Factor of the field's learning rates."""
-    radiance: RadianceConfig
+    radiance: RadianceConfig | None
+    """None: it has no colours."""
     weights: ShapeWeights
     mesh_cells: int
 

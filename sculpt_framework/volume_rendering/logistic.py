@@ -46,10 +46,7 @@ class LogisticVolume(SdfVolume):
         return torch.where(torch.sigmoid(sharpness * (sdf + radius)) > DARK, found, 0.0)
 
     def parameter_groups(self) -> list[ParameterGroup]:
-        return [*super().parameter_groups(), self.sharpness_group()]
-
-    def sharpness_group(self) -> ParameterGroup:
-        return ParameterGroup(parameters=[self._tenth], rate=self._rate)
+        return [*super().parameter_groups(), ParameterGroup(parameters=[self._tenth], rate=self._rate)]
 
     def facts(self) -> Mapping[str, float]:
         return {"sharpness": float(self.sharpness.detach())}

@@ -24,7 +24,7 @@ _NEAR_SURFACE = 0.05
 
 
 class SdfVolume(Volume):
-    """A field, a radiance field beside it, and terms of the field's own shape."""
+    """A field, a radiance field beside it if it has colours, and terms of the field's own shape."""
 
     def __init__(self, shape: SdfShape):
         super().__init__()
@@ -32,9 +32,10 @@ class SdfVolume(Volume):
         self._spacing = 2.0 / shape.mesh_cells
         self.field = shape.field.build(shape.mesh_cells, torch.device("cpu"))
         self.field.set_detail(self._spacing)
-        self._radiance = RadianceField(shape.radiance)
+        self._radiance = None if shape.radiance is None else RadianceField(shape.radiance)
 
     def colors(self, points: Float[Tensor, "n 3"], directions: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+        assert self._radiance is not None, "a volume without colours was asked for some"  # noqa: S101
         return self._radiance(points, directions)
 
     def surface(self, grid: Grid, cells: OccupiedCells) -> tuple[SdfFunction, Int64[Tensor, " s"]]:
@@ -43,7 +44,7 @@ class SdfVolume(Volume):
 
     def parameter_groups(self) -> list[ParameterGroup]:
         own = [replace(group, rate=self._field_rate * group.rate) for group in self.field.parameter_groups()]
-        return [*own, *self._radiance.parameter_groups()]
+        return own if self._radiance is None else [*own, *self._radiance.parameter_groups()]
 
     def shape_terms(self, rays: Rays, stretches: Stretches, generator: torch.Generator) -> dict[str, Float[Tensor, ""]]:
         if self._weights.eikonal == 0 and self._weights.bending == 0:

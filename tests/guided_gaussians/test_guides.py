@@ -1,5 +1,6 @@
 """What a field says of Gaussians and they of it: known answers, gradients, what is said at their limits."""
 
+import json
 import math
 from dataclasses import replace
 
@@ -8,16 +9,21 @@ import torch
 from torch.autograd import gradcheck
 
 import sculpt_framework as sculpt
+from sculpt_framework.errors import ConfigError
 from sculpt_framework.free_gaussians.config import DensityConfig, GaussianRates
 from sculpt_framework.free_gaussians.splats import Splats, Worth
 from sculpt_framework.geometry.signed_distance import EmptySurfaceError
 from sculpt_framework.guided_gaussians.config import AgreementConfig, GuidedGaussiansConfig
 from sculpt_framework.guided_gaussians.drawing import facing
 from sculpt_framework.guided_gaussians.guide import Guide, RayLesson, Shown, cosine, mean_of
+from sculpt_framework.serialization import config_from_json, config_to_json
 from sculpt_framework.types import Camera, Gaussians
+from sculpt_framework.validation import check
 from sculpt_framework.volume_rendering.pixels import rays_at
 from sculpt_framework.volume_rendering.stretches import OccupiedCells
+from sculpt_plugins.methods.gaussians_3dgsr.config import Gaussians3dgsrConfig
 from sculpt_plugins.methods.gaussians_3dgsr.guide import bell
+from sculpt_plugins.methods.gsdf.config import GsdfConfig
 from sculpt_plugins.methods.gsdf.guide import nearness
 
 RADIUS = 0.5
@@ -32,11 +38,13 @@ AHEAD = Camera(
 def guide(name: str) -> Guide:
     config = sculpt.methods[name]()
     assert isinstance(config, GuidedGaussiansConfig)
-    radiance = replace(config.radiance, num_levels=2, log2_table=10, finest_resolution=16, hidden_units=16)
+    if isinstance(config, GsdfConfig):
+        radiance = replace(config.radiance, num_levels=2, log2_table=10, finest_resolution=16, hidden_units=16)
+        config = replace(config, radiance=radiance)
     torch.manual_seed(0)
     agreement = AgreementConfig(depth=1.0, normal=1.0)
     rays = replace(config.rays, sharpness=300.0)
-    return replace(config, radiance=radiance, rays=rays, agreement=agreement).build_guide()
+    return replace(config, rays=rays, agreement=agreement).build_guide()
 
 
 def sphere_seen(radius: float, cover: float = 1.0) -> RayLesson:
@@ -101,6 +109,24 @@ def test_opacities_are_the_fields_and_teach_it():
     assert own.worth(given).opacities.tolist() == guided.opacities.tolist()
     guided.opacities.sum().backward()
     assert any(each.grad is not None and each.grad.abs().max() > 0 for each in own.volume.field.parameters())
+
+
+def test_what_opacities_do_not_go_by_is_not_there_or_refused():
+    config = sculpt.methods["3dgsr"]()
+    assert isinstance(config, Gaussians3dgsrConfig)
+    assert not any("radiance" in name for name in config.build_guide().state_dict())
+    # The options that are gone were in config.json at these values.
+    before = json.loads(config_to_json(config))
+    radiance = json.loads(config_to_json(sculpt.methods["gsdf"]()))["radiance"]
+    assert config_from_json(json.dumps({**before, "field_from": 0.0, "radiance": radiance})) == config
+    with pytest.raises(ConfigError, match=r"^field_from is 0\.5; the option is gone"):
+        config_from_json(json.dumps({**before, "field_from": 0.5}))
+    check(config)
+    check(sculpt.methods["3dgsr-paper"]())
+    with pytest.raises(ConfigError, match=r"^--density\.reset-every is 9; expected 0, as opacities follow the field"):
+        check(replace(config, density=replace(config.density, reset_every=9)))
+    with pytest.raises(ConfigError, match=r"^--rates\.opacities is 0\.1; expected 0\.05, as opacities follow"):
+        check(replace(config, rates=replace(config.rates, opacities=0.1)))
 
 
 # -- GSDF ----------------------------------------------------------------------------------------------------------

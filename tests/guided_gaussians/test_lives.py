@@ -16,6 +16,7 @@ from sculpt_framework.export.saved_gaussians import GAUSSIANS_NAME
 from sculpt_framework.guided_gaussians.config import GuidedGaussiansConfig
 from sculpt_framework.reconstructor import Moment
 from sculpt_framework.stress.small import small_scene
+from sculpt_plugins.methods.gsdf.config import GsdfConfig
 from tests.learning import beginning_of
 
 NAMES = ["3dgsr", "gsdf"]
@@ -24,11 +25,13 @@ NAMES = ["3dgsr", "gsdf"]
 def small(name: str, steps: int) -> GuidedGaussiansConfig:
     config = sculpt.methods[name]()
     assert isinstance(config, GuidedGaussiansConfig)
-    radiance = replace(config.radiance, num_levels=3, log2_table=12, finest_resolution=32, hidden_units=16)
+    if isinstance(config, GsdfConfig):
+        radiance = replace(config.radiance, num_levels=3, log2_table=12, finest_resolution=32, hidden_units=16)
+        config = replace(config, radiance=radiance)
     density = replace(config.density, every=10)
     rays = replace(config.rays, number=128, steps_across=48, cells=24)
     sizes = {"gaussians": 600, "mesh_cells": 32}
-    return replace(config, steps=steps, density=density, radiance=radiance, rays=rays, **sizes)
+    return replace(config, steps=steps, density=density, rays=rays, **sizes)
 
 
 @pytest.mark.parametrize("name", ["gsdf", pytest.param("3dgsr", marks=pytest.mark.slow)])

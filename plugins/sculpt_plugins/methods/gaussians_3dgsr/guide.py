@@ -44,7 +44,7 @@ class OpacityGuide(Guide):
 
     def parameter_groups(self) -> list[ParameterGroup]:
         own = ParameterGroup(parameters=[self._tenth], rate=self._rate)
-        return [*self.volume.field.parameter_groups(), self.volume.sharpness_group(), own]
+        return [*self.volume.parameter_groups(), own]
 
     def facts(self) -> Mapping[str, float]:
         return {**self.volume.facts(), "beta": float(self.beta.detach())}

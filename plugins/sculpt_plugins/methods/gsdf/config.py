@@ -4,7 +4,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
 from sculpt_framework.guided_gaussians.config import GuidedGaussiansConfig
-from sculpt_framework.ranges import above, at_least
+from sculpt_framework.ranges import above, at_least, between
+from sculpt_framework.volume_rendering.config import RadianceConfig
 
 if TYPE_CHECKING:
     from sculpt_plugins.methods.gsdf.guide import MutualGuide
@@ -31,7 +32,18 @@ class GuidanceConfig:
 class GsdfConfig(GuidedGaussiansConfig):
     """GSDF (Yu et al. 2024): Gaussians say where rays look at a field; the field says where Gaussians multiply."""
 
+    field_from: Annotated[float, between(0, 1)] = 0.0
+    """Share of the run from which on the field learns; the Gaussians are alone before."""
     guidance: GuidanceConfig = GuidanceConfig()
+    radiance: RadianceConfig
+
+    @property
+    def alone_until(self) -> float:
+        return self.field_from
+
+    @property
+    def ray_colors(self) -> RadianceConfig:
+        return self.radiance
 
     def build_guide(self) -> "MutualGuide":
         from sculpt_plugins.methods.gsdf.guide import MutualGuide

@@ -58,6 +58,13 @@ class GaussianRates:
     """Of the constant harmonic; the others learn at a twentieth of it."""
 
 
+def long_after(*begins: float) -> tuple[float, ...]:
+    """As ``FreeGaussiansConfig.stretches``, where terms begin at these shares of the run: once half of what is left is
+    over. Earlier states are hardly of these terms, and may well be drawn better. None where all begin at once."""
+    last = max(begins, default=0.0)
+    return (0.5 * (1 + last),) if last > 0 else ()
+
+
 @dataclass(frozen=True, kw_only=True)
 class FreeGaussiansConfig(MethodConfig, ABC):
     """Gaussians that start at random in the box, one view a step; unless a method has another way, a mesh by fusing
@@ -92,7 +99,8 @@ class FreeGaussiansConfig(MethodConfig, ABC):
 
     @property
     def stretches(self) -> tuple[float, ...]:
-        """Shares of the run at which what is learned becomes another: the result is of the time after the last."""
+        """Shares of the run at which what is learned becomes another, or has been learned for long enough: the result
+        is of the time after the last."""
         return ()
 
     def pick_device(self) -> "torch.device":

@@ -28,7 +28,7 @@ from sculpt_framework.volume_rendering.learner import LOOK_EVERY
 from sculpt_framework.volume_rendering.pixels import rays_at
 from sculpt_framework.volume_rendering.reconstructor import LEVEL, built_by_seed, occupancy_of, require_masks
 
-_OWN = ("taken", "order", "random", "faces", "joint", "opacity")
+_OWN = ("taken", "progress", "order", "random", "faces", "opacity")
 
 
 class GuidedGaussiansReconstructor(Reconstructor):
@@ -54,9 +54,8 @@ class GuidedGaussiansReconstructor(Reconstructor):
         """Views that are still to come before each has been looked at again."""
         half_sides = scene.box.half_sides.to(self._device)
         self._splats = Splats.at_random(half_sides, config.gaussians, config.sh_degree, config.rates, self._generator)
-        self._taken = 0
-        self._joint = config.alone_until == 0
-        """Whether the field learns."""
+        self._taken, self._progress = 0, 0.0
+        """Steps taken, and the share of the run that was done when the last one was about to begin."""
         self._mesh: Mesh | None = None
         self._faces = 0
         """Of the mesh that was asked for last."""
@@ -67,15 +66,20 @@ class GuidedGaussiansReconstructor(Reconstructor):
         self._look(afresh=True)
 
     def settle(self, moment: Moment) -> None:
-        self._joint = moment.progress >= self._config.alone_until
+        self._progress = moment.progress
 
     @property
     def stage(self) -> int:
-        return int(self._joint and self.stages > 1)
+        return sum(self._progress >= share for share in self._config.stretches)
 
     @property
     def stages(self) -> int:
-        return 1 if self._config.alone_until == 0 else 2
+        return 1 + len(self._config.stretches)
+
+    @property
+    def _joint(self) -> bool:
+        """Whether the field learns."""
+        return self._progress >= self._config.alone_until
 
     def step(self, moment: Moment) -> StepReport:
         config, splats, image = self._config, self._splats, self._next_image()
@@ -193,10 +197,10 @@ class GuidedGaussiansReconstructor(Reconstructor):
         optimizer = {f"guide_optimizer/{name}": value for name, value in self._optimizer.state().items()}
         own = {
             "taken": torch.tensor(self._taken),
+            "progress": torch.tensor(self._progress, dtype=torch.float64),
             "order": torch.tensor(self._order, dtype=torch.int64),
             "random": self._generator.get_state(),
             "faces": torch.tensor(self._faces),
-            "joint": torch.tensor(self._joint),
             "opacity": self._occupancy.opacity,
         }
         every = self._splats.state() | guide | optimizer | own
@@ -210,7 +214,8 @@ class GuidedGaussiansReconstructor(Reconstructor):
         splats = {name: value.to(self._device) for name, value in state.items() if name not in _OWN and "/" not in name}
         self._splats = Splats.of_state(splats, self._config.rates)
         self._taken, self._order = int(state["taken"]), state["order"].tolist()
+        # An earlier version's has none; the next step begins with settling.
+        self._progress = float(state.get("progress", 0.0))
         self._generator.set_state(state["random"].clone())
-        self._joint = bool(state["joint"])
         self._occupancy.opacity = state["opacity"].to(self._device).clone()
         self._mesh, self._faces = None, int(state["faces"])

@@ -1,5 +1,6 @@
 """Gaussians beside a field live the whole life of a run."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import torch
 import sculpt_framework as sculpt
 from sculpt_framework.demo_scenes.folder import DemoSettings, write_scene
 from sculpt_framework.demo_scenes.objects import demo_object
+from sculpt_framework.engine.checkpoint import split_best
 from sculpt_framework.engine.run import load_finished
 from sculpt_framework.errors import CheckpointError, DataError
 from sculpt_framework.export.saved_gaussians import GAUSSIANS_NAME
@@ -57,13 +59,22 @@ def test_it_learns_the_shape_and_is_drawn_as_it_was(tmp_path: Path, name: str):
         saved.config.renderer(tmp_path / "run", saved.scene)
 
 
-def test_the_gaussians_of_gsdf_are_alone_at_first():
-    session = sculpt.Session(small_scene(), small("gsdf", 12))
-    reports = list(session)
+def test_the_gaussians_of_gsdf_are_alone_at_first_and_what_the_field_begins_with_is_no_result():
+    best: list[Mapping[str, torch.Tensor]] = []
+    session = sculpt.Session(
+        small_scene(), small("gsdf", 12), save_state=lambda state, progress: best.append(split_best(state)[1])
+    )
+    reports, stages = [], []
+    for report in session:
+        reports.append(report)
+        stages.append(session.reconstructor.stage)
     alone = {"color"}
     assert set(reports[2].terms) == alone
     assert {"ray color", "eikonal", "mask", "depth", "normal"} == set(reports[-1].terms) - alone
-    assert session.reconstructor.stage == session.reconstructor.stages - 1 == 1
+    assert session.reconstructor.stages == 3
+    assert stages == [0] * 5 + [1] * 4 + [2] * 4
+    assert int(best[-1]["taken"]) >= 8
+    assert [row["reason"] for row in session.curve].count("stage") == 2
 
 
 @pytest.mark.slow

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
+from sculpt_framework.free_gaussians.config import long_after
 from sculpt_framework.guided_gaussians.config import GuidedGaussiansConfig
 from sculpt_framework.ranges import above, at_least, between
 from sculpt_framework.volume_rendering.config import RadianceConfig
@@ -40,6 +41,11 @@ class GsdfConfig(GuidedGaussiansConfig):
     @property
     def alone_until(self) -> float:
         return self.field_from
+
+    @property
+    def stretches(self) -> tuple[float, ...]:
+        """The field is a sphere when it begins to learn: such a state must not compete."""
+        return (self.field_from, *long_after(self.field_from)) if self.field_from > 0 else ()
 
     @property
     def ray_colors(self) -> RadianceConfig:

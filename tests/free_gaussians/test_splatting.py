@@ -1,6 +1,7 @@
 """Free Gaussians: how they are counted, how they multiply, what their depths are fused to, a run's whole life."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import sculpt_framework as sculpt
 from sculpt_framework.demo_scenes.cameras import demo_cameras
 from sculpt_framework.demo_scenes.folder import DemoSettings, write_scene
 from sculpt_framework.demo_scenes.objects import demo_object
+from sculpt_framework.engine.checkpoint import split_best
 from sculpt_framework.engine.run import load_finished
 from sculpt_framework.free_gaussians.config import DensityConfig, FreeGaussiansConfig, GaussianRates
 from sculpt_framework.free_gaussians.splats import Splats
@@ -162,6 +164,31 @@ def test_it_learns_and_is_drawn_as_it_was(tmp_path: Path):
     saved, camera = load_finished(tmp_path / "run"), session.scene.train[0].camera
     drawn, own = saved.config.renderer(tmp_path / "run", session.scene)(camera), session.render(camera)
     assert torch.allclose(drawn.rgb, own.rgb, atol=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "begin", "without"),
+    [
+        ("gof", 0.5, {"distortion": 0.0, "normals": 0.0}),
+        ("splatting-2d", 0.23, {"distortion_from": 0.0, "normals": 0.0}),
+        ("pgsr", 0.23, {"single_view": 0.0, "geometric": 0.0, "photometric": 0.0}),
+        ("relightable", 0.75, {"shaded": 0.0}),
+    ],
+)
+def test_states_compete_once_all_terms_have_acted_for_a_while(name: str, begin: float, without: dict[str, float]):
+    config = small(10, name)
+    assert config.stretches == (0.5 * (1 + begin),)
+    assert replace(config, **without).stretches == ()
+
+
+def test_no_run_ends_with_a_state_from_before_its_terms():
+    best: list[Mapping[str, torch.Tensor]] = []
+    session = sculpt.Session(
+        small_scene(), small(20, "pgsr"), save_state=lambda state, progress: best.append(split_best(state)[1])
+    )
+    session.run()
+    assert [row["reason"] for row in session.curve].count("stage") == 1
+    assert int(best[-1]["taken"]) >= 13
 
 
 @pytest.mark.slow

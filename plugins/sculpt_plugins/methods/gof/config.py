@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
-from sculpt_framework.free_gaussians.config import FreeGaussiansConfig
+from sculpt_framework.free_gaussians.config import FreeGaussiansConfig, long_after
 from sculpt_framework.ranges import at_least, between
 
 if TYPE_CHECKING:
@@ -34,6 +34,11 @@ class GofConfig(FreeGaussiansConfig):
     """Halvings of an edge of a tetrahedron that crosses the surface."""
     mesh_gaussians: Annotated[int, at_least(8)] = 30_000
     """Gaussians, drawn at random from those there are, at which tetrahedra have their corners."""
+
+    @property
+    def stretches(self) -> tuple[float, ...]:
+        terms = ((self.distortion, self.distortion_from), (self.normals, self.normals_from))
+        return long_after(*(begin for factor, begin in terms if factor > 0))
 
     def pick_device(self) -> "torch.device":
         import torch

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
 from sculpt_framework.config import RasterizerConfig
-from sculpt_framework.free_gaussians.config import FreeGaussiansConfig
+from sculpt_framework.free_gaussians.config import FreeGaussiansConfig, long_after
 from sculpt_framework.ranges import at_least, between
 
 if TYPE_CHECKING:
@@ -32,6 +32,10 @@ class PgsrConfig(FreeGaussiansConfig):
     samples: Annotated[int, at_least(1)] = 1024
     """Pixels that are compared with another view in a step."""
     rasterizer: RasterizerConfig
+
+    @property
+    def stretches(self) -> tuple[float, ...]:
+        return long_after(self.planes_from) if self.single_view + self.geometric + self.photometric > 0 else ()
 
     def build_drawing(self, device: "torch.device") -> "Drawing":
         from sculpt_plugins.methods.pgsr.drawing import PlaneDrawing

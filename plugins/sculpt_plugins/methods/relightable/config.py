@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
 from sculpt_framework.config import RasterizerConfig
-from sculpt_framework.free_gaussians.config import FreeGaussiansConfig
+from sculpt_framework.free_gaussians.config import FreeGaussiansConfig, long_after
 from sculpt_framework.ranges import at_least, between
 
 if TYPE_CHECKING:
@@ -50,6 +50,10 @@ class RelightableConfig(FreeGaussiansConfig):
     """Factor of how far the light is from grey: mean difference of its harmonics from their mean over the channels."""
     material_rates: MaterialRates = MaterialRates()
     rasterizer: RasterizerConfig
+
+    @property
+    def stretches(self) -> tuple[float, ...]:
+        return long_after(self.materials_from) if self.shaded > 0 else ()
 
     def build_drawing(self, device: "torch.device") -> "Drawing":
         from sculpt_plugins.methods.relightable.drawing import RelightableDrawing

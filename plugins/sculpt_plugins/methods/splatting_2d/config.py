@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
-from sculpt_framework.free_gaussians.config import FreeGaussiansConfig
+from sculpt_framework.free_gaussians.config import FreeGaussiansConfig, long_after
 from sculpt_framework.ranges import at_least, between
 
 if TYPE_CHECKING:
@@ -24,6 +24,11 @@ class Splatting2dConfig(FreeGaussiansConfig):
     """Factor of the difference between disks' normals and those of the depths."""
     normals_from: Annotated[float, between(0, 1)] = 0.23
     """Share of the run from which on it counts."""
+
+    @property
+    def stretches(self) -> tuple[float, ...]:
+        terms = ((self.distortion, self.distortion_from), (self.normals, self.normals_from))
+        return long_after(*(begin for factor, begin in terms if factor > 0))
 
     def pick_device(self) -> "torch.device":
         import torch

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from sculpt_framework.config import ExtractorConfig, MethodConfig
-from sculpt_framework.ranges import above, at_least, between
+from sculpt_framework.ranges import above, at_least, between, require
 
 if TYPE_CHECKING:
     import torch
@@ -83,6 +83,11 @@ class FreeGaussiansConfig(MethodConfig, ABC):
     density: DensityConfig = DensityConfig()
     rates: GaussianRates = GaussianRates()
     extractor: ExtractorConfig
+
+    def check(self) -> None:
+        least = self.density.least_opacity
+        holds = self.density.reset_every == 0 or 0 < least < 0.5
+        require(holds, "density.least-opacity", f"{least:g}", "above 0, below 0.5 with --density.reset-every")
 
     @abstractmethod
     def build_drawing(self, device: "torch.device") -> "Drawing": ...

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from sculpt_framework.config import ExtractorConfig, FieldConfig, MethodConfig
-from sculpt_framework.ranges import above, at_least, between
+from sculpt_framework.ranges import above, at_least, between, require
 
 if TYPE_CHECKING:
     from sculpt_framework.reconstructor import Host, Reconstructor
@@ -33,6 +33,11 @@ class RadianceConfig:
     """Learning rate of the grid."""
     decoder_rate: Annotated[float, at_least(0)] = 2e-3
     """Learning rate of the decoder."""
+
+    def check(self, option: str) -> None:
+        """Raises ConfigError, as a component's does."""
+        fine, coarse = self.finest_resolution, self.base_resolution
+        require(fine >= coarse, f"{option}.finest-resolution", fine, f"{option}.base-resolution ({coarse}) or more")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,6 +73,9 @@ class VolumeConfig(MethodConfig, ABC):
     """Learning rates end at this share of themselves."""
     radiance: RadianceConfig = RadianceConfig()
     extractor: ExtractorConfig
+
+    def check(self) -> None:
+        self.radiance.check("radiance")
 
     @property
     def passing(self) -> Passing:

@@ -15,6 +15,7 @@ from sculpt_framework.demo_scenes.folder import DemoSettings, write_scene
 from sculpt_framework.demo_scenes.objects import demo_object
 from sculpt_framework.engine.checkpoint import split_best
 from sculpt_framework.engine.run import load_finished
+from sculpt_framework.errors import ConfigError
 from sculpt_framework.free_gaussians.config import DensityConfig, FreeGaussiansConfig, GaussianRates
 from sculpt_framework.free_gaussians.splats import Splats
 from sculpt_framework.geometry.grid import grid_over_box
@@ -23,6 +24,7 @@ from sculpt_framework.reconstructor import Moment
 from sculpt_framework.shape_from_images.tsdf import fuse_renderings, surface_of
 from sculpt_framework.stress.small import small_scene
 from sculpt_framework.types import Camera, Rendering
+from sculpt_framework.validation import check
 from sculpt_plugins.extractors.marching_tetrahedra.config import MarchingTetrahedraConfig
 from sculpt_plugins.methods.sugar.config import PoissonConfig, SugarConfig
 from tests.learning import beginning_of
@@ -135,6 +137,15 @@ def test_opacities_fall_and_forget_how_they_moved():
     assert torch.equal(after.pull, some.pull)
     for name, value in some.parameters.items():
         assert name == "logits" or torch.equal(value, after.parameters[name])
+
+
+@pytest.mark.parametrize("least", [0.0, 0.5])
+def test_a_reset_has_an_opacity_to_fall_to(least: float):
+    config = small(10)
+    check(replace(config, density=replace(config.density, least_opacity=least)))
+    config = replace(config, density=replace(config.density, least_opacity=least, reset_every=5))
+    with pytest.raises(ConfigError, match=r"^--density\.least-opacity is 0(\.5)?; expected above 0, below 0\.5 with"):
+        check(config)
 
 
 def test_the_harmonics_come_one_degree_after_the_other_and_columns_are_sorted():

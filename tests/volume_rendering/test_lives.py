@@ -11,11 +11,13 @@ import sculpt_framework as sculpt
 from sculpt_framework.demo_scenes.folder import DemoSettings, write_scene
 from sculpt_framework.demo_scenes.objects import demo_object
 from sculpt_framework.engine.run import load_finished
-from sculpt_framework.errors import CheckpointError, DataError
+from sculpt_framework.errors import CheckpointError, ConfigError, DataError
 from sculpt_framework.reconstructor import Moment
 from sculpt_framework.stress.small import small_scene
+from sculpt_framework.validation import check
 from sculpt_framework.volume_rendering.config import VolumeConfig
 from sculpt_framework.volume_rendering.reconstructor import FILE_NAME
+from sculpt_plugins.methods.gsdf.config import GsdfConfig
 
 NAMES = ["nerf", "neus", "volsdf"]
 # Their parts have tests of their own, and one of them lives a quick run.
@@ -71,6 +73,15 @@ def test_gone_on_with_it_is_what_it_would_have_been(name: str):
     for key, value in again.state().items():
         # What was measured last is told, not learned from.
         assert key == "faces" or torch.equal(value, states[20][key]), key
+
+
+@pytest.mark.parametrize("name", [*NAMES, "gsdf"])
+def test_colours_have_no_finest_level_below_the_coarsest(name: str):
+    config = sculpt.methods[name]()
+    assert isinstance(config, VolumeConfig | GsdfConfig)
+    message = r"^--radiance\.finest-resolution is 7; expected radiance\.base-resolution \(8\) or more\.$"
+    with pytest.raises(ConfigError, match=message):
+        check(replace(config, radiance=replace(config.radiance, finest_resolution=7)))
 
 
 def test_images_without_masks_are_refused():

@@ -38,6 +38,10 @@ class GsdfConfig(GuidedGaussiansConfig):
     guidance: GuidanceConfig = GuidanceConfig()
     radiance: RadianceConfig
 
+    def check(self) -> None:
+        super().check()
+        self.radiance.check("radiance")
+
     @property
     def alone_until(self) -> float:
         return self.field_from

@@ -113,7 +113,9 @@ def sugar_paper() -> SugarConfig:
 
 def relightable_paper() -> RelightableConfig:
     """Relightable 3D Gaussian at the size of its program; for a GPU."""
-    return _with_length(replace(splatting.relightable(), method="relightable-paper"), steps=40_000)  # program
+    small = splatting.relightable()
+    density = replace(small.density, end=0.25)  # program: step 10 000
+    return _with_length(replace(small, method="relightable-paper", density=density), steps=40_000)  # program
 
 
 def gaussians_3dgsr_paper() -> Gaussians3dgsrConfig:
@@ -145,10 +147,11 @@ def _with_length(small: FreeGaussians, *, steps: int = _LENGTH) -> FreeGaussians
         density=replace(
             small.density,
             begin=500 / steps,  # 3DGS, program
-            end=min(0.5, small.density.end),  # 3DGS, program: step 15 000
+            end=min(0.5, small.density.end),  # 3DGS, program: step 15 000 of 30 000
             most=10_000_000,  # no paper has a limit
             reset_every=3000,  # 3DGS, 5.2
         ),
-        rates=replace(small.rates, means=1.6e-4),  # 3DGS, program, times the spread of the cameras
+        # 3DGS, program: 1.6e-4 times the cameras' spread, here of some four object units.
+        rates=replace(small.rates, means=6.4e-4),
         mesh_cells=512,
     )

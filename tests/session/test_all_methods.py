@@ -13,6 +13,7 @@ import trimesh
 from sculpt_framework import registry
 from sculpt_framework.demo_scenes.folder import DemoSettings, write_scene
 from sculpt_framework.demo_scenes.objects import demo_object
+from sculpt_framework.free_gaussians.config import FreeGaussiansConfig
 from tests.viewer.training import STEPS, eventually, free_port
 
 GAUSSIANS = ("--gaussians", "500", "--mesh-cells", "24")
@@ -71,6 +72,16 @@ def test_the_size_of_its_paper_is_the_same_method(name: str):
     assert whole.steps > 5 * small.steps
     as_small = replace(whole, **{each.name: getattr(small, each.name) for each in fields(small) if each.name in SIZES})
     assert as_small == small
+
+
+def test_sizes_of_papers_that_follow_from_their_length():
+    relightable, splatting = (registry.load_method(f"{name}-paper")() for name in ("relightable", "splatting-3d"))
+    assert isinstance(relightable, FreeGaussiansConfig)
+    assert isinstance(splatting, FreeGaussiansConfig)
+    assert relightable.density.end * relightable.steps == 10_000
+    assert splatting.density.end * splatting.steps == 15_000
+    # Of the cameras' spread, some four object units.
+    assert relightable.rates.means == splatting.rates.means == 4 * 1.6e-4
 
 
 @pytest.mark.slow

@@ -224,6 +224,19 @@ def test_images_of_matrices_that_are_not_there(tmp_path: Path):
     torch.testing.assert_close(scene.train[2].camera.world_to_camera, SHOTS[3].camera.world_to_camera)
 
 
+def test_images_and_matrices_are_paired_by_numbers_not_by_the_alphabet(tmp_path: Path):
+    folder = idr(tmp_path / "s")
+    for kind in ("image", "mask"):
+        for path in sorted((folder / kind).iterdir()):
+            # 1 comes after 05, as 10 comes before 2.
+            number = path.stem.removeprefix("r_")
+            path.rename(path.with_name(f"{'1' if number == '01' else number}.png"))
+    scene = read(folder)
+    assert noted(scene, "paired by their numbers")
+    assert scene.train[-1].name == "1"
+    torch.testing.assert_close(scene.train[-1].camera.world_to_camera, SHOTS[1].camera.world_to_camera)
+
+
 @pytest.mark.parametrize("name", ["nerfstudio", "Blender", "COLMAP text", "COLMAP"])
 def test_the_same_image_twice(name: str, tmp_path: Path):
     folder = MASKED[name](tmp_path / "s")

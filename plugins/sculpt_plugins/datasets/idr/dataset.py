@@ -85,14 +85,20 @@ def _image_files(folder: Path) -> list[Path]:
 def _placed(
     images: Sequence[Path], matrices: Mapping[str, Float64[np.ndarray, "4 4"]], path: Path
 ) -> tuple[list[PlacedCamera], list[str]]:
-    """The camera of each image, by their order; where there are more matrices, by the numbers that name the images.
+    """The camera of each image: by the numbers that name the images, where these are those of the matrices, else by
+    their order.
 
     Raises DataError where neither tells which matrix is whose.
     """
     there = {int(key.removeprefix("world_mat_")) for key in matrices if key.startswith("world_mat_")}
     chosen, notes = list(range(len(images))), []
+    named = [int(image.stem) if image.stem.isdecimal() else -1 for image in images]
+    if set(named) == there and len(named) == len(there) and named != chosen:
+        # By the alphabet 10.png comes before 2.png.
+        return [placed_camera(matrices[f"world_mat_{number}"], f"{path}: world_mat_{number}") for number in named], [
+            "images and matrices are paired by their numbers, which is not the order of the images' names."
+        ]
     if len(there) != len(images):
-        named = [int(image.stem) if image.stem.isdecimal() else -1 for image in images]
         if not set(named) <= there or len(set(named)) != len(named):
             raise DataError(
                 f"{path}: {len(images)} images need as many matrices world_mat_I, found {len(there)}; or images named "

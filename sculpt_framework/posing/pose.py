@@ -20,9 +20,10 @@ from sculpt_framework.posing import colmap
 from sculpt_framework.posing.announcer import Announcer
 from sculpt_framework.posing.joining import join
 from sculpt_framework.posing.lenses import Sorted, sort_by_lens
+from sculpt_framework.posing.likely_pairs import PARTNERS, likely_pairs
 from sculpt_framework.posing.options import PosingOptions
 from sculpt_framework.posing.outcome import NAME, Outcome, nothing_placed, read_outcome, reasons
-from sculpt_framework.posing.pairs import choose_pairs
+from sculpt_framework.posing.pairs import EXHAUSTIVE_UP_TO, choose_pairs
 from sculpt_framework.posing.picture import draw_posing
 from sculpt_framework.posing.source import CONVERTED, FEWEST, Photographs, find_photographs, fingerprint, is_video
 from sculpt_framework.posing.upright import upright_frame
@@ -126,14 +127,9 @@ def _carry_out(at_work: _Posing, found: Photographs | None) -> Outcome:
     masks = None if options.ignore_masks else _write_masks(photographs, lenses, work / "masks")
     colmap.extract(database, images, names, masks, options, at_work.tell("finding features"))
     at_work.keep(at_work.state)
-    pairs, compared = choose_pairs(len(names), in_order=found is None)
-    by_name = sorted(names, key=lenses.names.__getitem__)
-    named = [(by_name[first], by_name[second]) for first, second in pairs]
-    colmap.match(database, named, options, at_work.tell("matching pairs"))
-    at_work.keep(at_work.state)
-    for name in ("models", "straight"):
+    for name in ("models", "all", "straight"):
         shutil.rmtree(work / name, ignore_errors=True)
-    pieces = colmap.map_images(database, images, work / "models", options, at_work.tell("placing cameras"))
+    pieces, compared = _placed_together(at_work, sorted(names, key=lenses.names.__getitem__), in_order=found is None)
     straight = bool(pieces) and colmap.diverged(pieces[0])
     if straight:
         again = at_work.tell("placing cameras again, with a straight lens")
@@ -165,6 +161,29 @@ def _carry_out(at_work: _Posing, found: Photographs | None) -> Outcome:
     )
     _write(at_work, model, lenses, outcome)
     return outcome
+
+
+def _placed_together(
+    at_work: _Posing, names: Sequence[str], *, in_order: bool
+) -> "tuple[list[pycolmap.Reconstruction], str]":
+    """Models of the images, in the order of the photographs' names, and which were compared, in words.
+
+    First by the likeliest pairs; where that does not place all in one model, by all that are to be compared.
+    """
+    work, options = at_work.work, at_work.options
+    images, database = work / "photographs", work / "database.db"
+
+    def mapped(pairs: Sequence[tuple[str, str]], what: str, folder: str) -> "list[pycolmap.Reconstruction]":
+        colmap.match(database, pairs, options, at_work.tell(f"matching {what}"))
+        at_work.keep(at_work.state)
+        return colmap.map_images(database, images, work / folder, options, at_work.tell("placing cameras"))
+
+    if not in_order and 2 * PARTNERS < len(names) <= EXHAUSTIVE_UP_TO:
+        pieces = mapped(likely_pairs(database, names), "likely pairs", "models")
+        if len(pieces) == 1 and pieces[0].num_reg_images() == len(names):
+            return pieces, "each photograph with those that most likely show the same"
+    pairs, compared = choose_pairs(len(names), in_order=in_order)
+    return mapped([(names[first], names[second]) for first, second in pairs], "pairs", "all"), compared
 
 
 def _begin(scene: Path, key: str, source: Path, announce: Announcer) -> _State:

@@ -261,3 +261,23 @@ def test_a_video_is_posed_by_the_command(
     assert "posed      9 of 9 photographs" in said
     frames = sorted(path.stem for path in (tmp_path / "out" / "images").iterdir())
     assert all(int(stem.removeprefix("frame_")) % 3 == 1 for stem in frames)
+
+
+@pytest.mark.slow
+def test_likely_pairs_place_a_ring_and_all_pairs_are_tried_where_they_do_not_suffice(tmp_path: Path):
+    taken = photographs(range(0, 360, 10))
+    save(taken, tmp_path / "ring")
+    noted = Noted()
+    outcome = pose(tmp_path / "ring", tmp_path / "ring-posed", PosingOptions(threads=2), noted)
+    assert outcome.registered == 36
+    assert outcome.compared == "each photograph with those that most likely show the same"
+    assert "matching pairs" not in noted.steps
+    assert noted.steps["matching likely pairs"] < 36 * 35 / 2
+    # Seen in a mirror it is another place, and no pair joins the two.
+    mirrored = [replace(one, image=np.ascontiguousarray(one.image[:, ::-1])) for one in taken[:12]]
+    save([*taken[:24], *mirrored], tmp_path / "two")
+    noted = Noted()
+    outcome = pose(tmp_path / "two", tmp_path / "two-posed", PosingOptions(threads=2), noted)
+    assert outcome.compared == "every photograph with every other"
+    assert noted.steps["matching pairs"] == 36 * 35 / 2
+    assert outcome.models[0] == 24

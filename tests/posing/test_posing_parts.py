@@ -18,6 +18,7 @@ from sculpt_framework.posing import colmap
 from sculpt_framework.posing.announcer import Announcer
 from sculpt_framework.posing.colmap import Matched
 from sculpt_framework.posing.lenses import sort_by_lens
+from sculpt_framework.posing.likely_pairs import likely_pairs
 from sculpt_framework.posing.options import PosingOptions
 from sculpt_framework.posing.outcome import Outcome, nothing_placed, read_outcome, reasons
 from sculpt_framework.posing.pairs import EXHAUSTIVE_UP_TO, choose_pairs
@@ -461,3 +462,29 @@ def test_pairs_with_many_matches_place_photographs_first(
     assert last.placed == placed[-1]
     assert begun[0] is False
     assert begun[1] == (placed[0] > 0)
+
+
+def test_likely_pairs_are_those_with_features_in_common(tmp_path: Path):
+    pycolmap = pytest.importorskip("pycolmap")
+    generator = np.random.default_rng(0)
+    count, shared = 60, 12
+    # Places along a path: each image has the features of its own and of those up to six further on.
+    path = [generator.integers(0, 255, (shared, 128)) for _ in range(count + 6)]
+    database = pycolmap.Database.open(tmp_path / "database.db")
+    lens = database.write_camera(pycolmap.Camera.create_from_model_name(1, "SIMPLE_RADIAL", 500.0, 640, 480))
+    names = [f"{index:02}.jpg" for index in range(count)]
+    for index, name in enumerate(names):
+        features = np.concatenate(path[index : index + 7])
+        noisy = np.clip(features + generator.integers(-9, 9, features.shape), 0, 255).astype(np.uint8)
+        number = database.write_image(pycolmap.Image(name=name, camera_id=lens))
+        places = np.zeros((len(noisy), 6), np.float32)
+        places[:, :2], places[:, 2], places[:, 5] = generator.random((len(noisy), 2)) * 400, 3.0, 3.0
+        database.write_keypoints(number, places)
+        kind = pycolmap.FeatureExtractorType.SIFT
+        database.write_descriptors(number, pycolmap.FeatureDescriptors(data=noisy, type=kind))
+    database.close()
+    pairs = likely_pairs(tmp_path / "database.db", names)
+    assert len(set(pairs)) == len(pairs) < count * (count - 1) / 4
+    assert all(first < second for first, second in pairs)
+    assert all((names[i], names[i + step]) in pairs for i in range(count - 6) for step in range(1, 7))
+    assert (names[0], names[55]) in pairs  # Of every fifth with every fifth.

@@ -145,19 +145,21 @@ def command_from_json(value: object) -> Command:
 def read_recorded(path: Path) -> list[Recorded]:
     """The commands in an events.jsonl that changed the run, in order; without pauses and exports of meshes.
 
-    Raises ConfigError if the file cannot be read or a command in it is not valid. Half a line at the end, which a
-    killed run may leave, is passed over.
+    Raises ConfigError if the file cannot be read, is of something else, or a command in it is not valid. Half a line at
+    the end, which a killed run may leave, is passed over.
     """
     try:
         lines = path.read_text(encoding="utf-8").split("\n")
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"--replay {path} cannot be read ({error}); expected the events.jsonl of a run.") from error
     out: list[Recorded] = []
+    events = 0
     for line in lines:
         try:
             event = json.loads(line)
         except ValueError:
             continue
+        events += isinstance(event, dict) and "event" in event
         if not isinstance(event, dict) or event.get("event") not in ("action", "stage", "outer_step"):
             continue
         # A run resumed from a checkpoint did again what it had done after it, without these commands.
@@ -168,6 +170,8 @@ def read_recorded(path: Path) -> list[Recorded]:
         command = command_from_json(data["command"])
         if isinstance(command, (*LASTING, Stop)):
             out.append(Recorded(outer=int(event["outer"]), command=command))
+    if events == 0 and len(lines) > 1:
+        raise ConfigError(f"--replay {path} holds no events; expected the events.jsonl of a run.")
     return out
 
 

@@ -44,7 +44,7 @@ class Snapshot:
     ) -> "Snapshot":
         """Of a mesh in world frame. Faces are named by their numbers."""
         points = torch.from_numpy(vertices)
-        box = Box(minimum=points.amin(dim=0).float(), maximum=points.amax(dim=0).float())
+        box = Box(minimum=points.amin(dim=0), maximum=points.amax(dim=0))
         surface = Surface(
             vertices=box.to_object(points).float(),
             faces=torch.from_numpy(faces),

@@ -43,6 +43,11 @@ def without_views(scene: Scene, names: Collection[str]) -> Scene:
     return scene if len(kept) == len(scene.train) else replace(scene, train=kept)
 
 
+def as_trained(scene: Scene, config: MethodConfig) -> Scene:
+    """The scene without the views that a run of this config left out, as far as it still has them."""
+    return without_views(scene, {view.name for view in scene.train} & set(config.skip_views))
+
+
 def split_views(count: int, every: int) -> tuple[Sequence[int], Sequence[int]]:
     """Indices to train on and to hold out: one of every ``every``, from the middle of each run of that length."""
     if every <= 1 or count < every:

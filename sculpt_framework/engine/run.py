@@ -20,6 +20,7 @@ from sculpt_framework.config import MethodConfig
 from sculpt_framework.device import pick_device
 from sculpt_framework.engine.checkpoint import Progress, read_checkpoint, write_checkpoint
 from sculpt_framework.engine.output import CONFIG_NAME, MESH_NAME, prepare_output
+from sculpt_framework.engine.planning import as_trained
 from sculpt_framework.engine.session import Session
 from sculpt_framework.engine.steering import Steering
 from sculpt_framework.errors import CheckpointError, SculptError, TrainingFailed
@@ -101,7 +102,7 @@ def _run(config: MethodConfig, resume: Path | None, started: float, held: ExitSt
                 observers += [observer.build(folder) for observer in config.observers]
             if session.plan is not None:
                 session.host.tell("plan", session.plan.values())
-            _train(session, folder, observers, replay, stop_requested)
+            _train(session, folder, observers, replay, stop_requested, resumed=resume is not None)
     finally:
         for observer in observers:
             observer.close()
@@ -148,6 +149,8 @@ def _train(
     observers: Sequence[Observer],
     replay: Sequence[Recorded],
     stop_requested: "StopFlag",
+    *,
+    resumed: bool,
 ) -> None:
     processes = session.host.processes
     intervals = [o.snapshot_seconds for o in observers if o.snapshot_seconds is not None]
@@ -159,7 +162,7 @@ def _train(
         interrupted=lambda: processes.first(stop_requested),
         snapshot_seconds=min(intervals) if intervals else None,
     )
-    if session.step > 0:
+    if resumed:
         steering.take_up(told_in(folder), session.step)
     try:
         for _ in session:
@@ -268,7 +271,7 @@ def load_finished(folder: Path) -> FinishedRun:
     config = read_config(folder)
     if not (folder / MESH_NAME).is_file():
         raise CheckpointError(f"{folder} has no {MESH_NAME}: the run has not finished; go on with --resume {folder}")
-    scene = config.dataset.build(config.data).load()
+    scene = as_trained(config.dataset.build(config.data).load(), config)
     return FinishedRun(folder=folder, config=config, scene=scene, render=config.renderer(folder, scene))
 
 

@@ -50,7 +50,7 @@ class Report:
 
 class Session:
     """Runs a method on a scene: ``for report in session`` begins, yields after the start and after every step, and
-    finishes. Iterating again goes on where it was left: after a ``break``, an interrupt or ``stop``.
+    finishes. Iterating again goes on where it was left by a ``break`` or an interrupt; after ``stop`` it is finished.
 
     The scene is looked at for what it does not need, and the method built, at once; ``config`` and ``plan`` say what
     came of it. The clock starts then. Nothing is printed or written: what happens is told as events to ``emit``, and
@@ -218,7 +218,7 @@ class Session:
                 self.save_checkpoint()
             elif self._known_good.latest is not None:
                 self.reconstructor.load_state(self._known_good.latest)
-            progress = self.host.progress()
+            progress = self.host.shared_progress()
             try:
                 self._keep_better(progress, trainable=self.failure is None)
             except _UNSTABLE as error:

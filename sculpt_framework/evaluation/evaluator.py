@@ -1,8 +1,8 @@
 """What a run measures of itself: held-out views, distance to the reference, and the memory it takes."""
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sculpt_framework.config import MethodConfig
+from sculpt_framework.errors import DataError
 from sculpt_framework.evaluation.consistency import CURVE_PAIRS, CURVE_PIXELS, PosedImages
 from sculpt_framework.evaluation.geometry import MeasuredMesh
 from sculpt_framework.evaluation.images import fitted_psnr, mask_iou, psnr, ssim
@@ -39,7 +40,7 @@ class Evaluator:
         """``held_out`` are numbers of train views; only some of them are looked at."""
         self.views = some_views([scene.train[number] for number in held_out], _VIEWS_AT_MOST, _PIXELS_AT_MOST)
         reference = config.reference or scene.reference_mesh
-        self.reference = None if reference is None else MeasuredMesh(load_mesh(reference), CURVE_SAMPLES)
+        self.reference = None if reference is None else _measured(reference)
         self._scene = scene
 
     def measure(self, method: Reconstructor) -> dict[str, Any]:
@@ -108,15 +109,26 @@ def on_white(view: View) -> Float[Tensor, "h w 3"]:
     return (view.rgb * alpha).float() + (1 - alpha.float()) * torch.ones(3)
 
 
+def _measured(reference: Path) -> MeasuredMesh:
+    try:
+        return MeasuredMesh(load_mesh(reference), CURVE_SAMPLES)
+    except ValueError as error:
+        raise DataError(f"{reference} cannot be compared with: {error}") from error
+
+
 def image_measures(render: Callable[[Camera], Rendering], views: Sequence[View]) -> dict[str, float | None]:
-    """Means over the views of psnr and psnr_fitted (dB), ssim and iou (of masks), on white.
+    """Means over the views that show the object of psnr and psnr_fitted (dB), ssim and iou (of masks), on white.
 
     None where there is nothing to tell. Raises FloatingPointError where a rendering is not finite.
     """
     scores: dict[str, list[float]] = {"psnr": [], "psnr_fitted": [], "ssim": [], "iou": []}
     for view in views:
+        if view.alpha is not None and not bool((view.alpha > 0.5).any()):
+            continue
         with torch.no_grad():
             rendering = render(view.camera)
+        if not bool(torch.isfinite(rendering.rgb).all()):
+            raise FloatingPointError("the rendering of a held-out view is not finite")
         target = on_white(view).to(rendering.rgb)
         scores["psnr"].append(psnr(rendering.rgb, target))
         alpha = None if view.alpha is None else view.alpha.to(rendering.alpha)
@@ -124,7 +136,4 @@ def image_measures(render: Callable[[Camera], Rendering], views: Sequence[View])
         scores["ssim"].append(ssim(rendering.rgb, target))
         if alpha is not None:
             scores["iou"].append(mask_iou(rendering.alpha, alpha))
-    means = {name: float(np.mean(values)) if values else None for name, values in scores.items()}
-    if means["psnr"] is not None and not math.isfinite(means["psnr"]):
-        raise FloatingPointError("the rendering of a held-out view is not finite")
-    return means
+    return {name: float(np.mean(values)) if values else None for name, values in scores.items()}

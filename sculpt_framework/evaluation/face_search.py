@@ -19,8 +19,9 @@ _RINGS = 6
 _FEW = 0.02
 """Points that are further away, per triangle, up to which all shells are looked at and no tree is built: building one
 takes about 2 microseconds a triangle, all shells 100 and more a point."""
-_CELLS_PER_FACE = 16
-"""Cells that triangles may lie in on the average: more, and they are not of one size."""
+_CELLS_PER_FACE, _FACES_PER_CELL = 16, 100
+"""Cells that triangles may lie in on the average, and triangles beside one in its cell: more, and they are not of
+one size, or far apart."""
 _MOST_CELLS = 1 << 22
 
 
@@ -98,8 +99,10 @@ class FaceGrid:
 
 
 def face_grid(mesh: Mesh) -> FaceGrid | None:
-    """Cells about two edges wide. None where triangles are so unlike that some would lie in too many of them."""
-    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    """Cells about two edges wide. None where triangles are so unlike that some would lie in too many of them, or too
+    many in some of them."""
+    used = mesh.vertices[mesh.faces].reshape(-1, 3)
+    low, high = used.min(axis=0), used.max(axis=0)
     side = 2.0 * float(np.sqrt(2.0 * np.median(mesh.areas)))
     extent = high - low
     side = max(side, float(np.cbrt(np.prod(np.maximum(extent, side)) / _MOST_CELLS)))
@@ -111,6 +114,9 @@ def face_grid(mesh: Mesh) -> FaceGrid | None:
     vertices, faces = np.ascontiguousarray(mesh.vertices), np.ascontiguousarray(mesh.faces)
     starts = np.zeros(int(np.prod(shape)) + 1, np.int64)
     face_grid_kernels.list_faces(vertices, faces, low, side, shape, starts[1:], np.zeros(0, np.int64))
+    counts = starts[1:].astype(np.float64)
+    if (counts**2).sum() > _FACES_PER_CELL * counts.sum():
+        return None
     np.cumsum(starts, out=starts)
     entries = np.empty(int(starts[-1]), np.int64)
     face_grid_kernels.list_faces(vertices, faces, low, side, shape, starts[:-1].copy(), entries)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from sculpt_framework.engine.output import CONFIG_NAME, MESH_NAME
+from sculpt_framework.engine.planning import as_trained
 from sculpt_framework.engine.run import read_config
 from sculpt_framework.errors import CheckpointError, DataError
 from sculpt_framework.evaluation.mesh import Mesh
@@ -71,7 +72,7 @@ def read_scene(run_dir: Path, data: str | None) -> Scene:
     """
     config = read_config(run_dir)
     try:
-        return config.dataset.build(data or config.data).load()
+        return as_trained(config.dataset.build(data or config.data).load(), config)
     except DataError as error:
         if data is not None:
             raise

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sculpt_framework.errors import DataError
 from sculpt_framework.geometry.angles import angles_between
 from sculpt_framework.plan.directions import Gloss, gloss, spread
 from sculpt_framework.plan.pictures import (
@@ -72,12 +73,14 @@ def gather(scene: Scene) -> Evidence:
     widths = np.array([_pixel(view, scene) for view in views])
     blind = blind_views(views, box)
     seeing = [view for view in views if view.name not in blind]
+    if not seeing:
+        raise DataError("no train view shows anything of the object's box; check the box and the cameras.")
     close = spread(seeing, _LOOKED_AT)
     thin = sorted(width for width in map(thinnest, close) if width is not None)
     return Evidence(
         views=len(views),
         masked=sum(view.alpha is not None for view in views),
-        cut=float(np.mean([is_cut(view) for view in seeing])) if seeing else 0.0,
+        cut=float(np.mean([is_cut(view) for view in seeing])),
         blind=blind,
         repeated=repeated_views(seeing, box),
         view_megabytes=float(np.median([view.rgb.shape[0] * view.rgb.shape[1] * 32 / 2**20 for view in views])),

@@ -37,6 +37,9 @@ def set_by_hand(config: SculptingConfig, own: SculptingConfig, paths: Sequence[s
         mine, theirs = getattr(config, slot), getattr(own, slot)
         if option:
             mine, theirs = option_of(mine, option), option_of(theirs, option)
+        elif slot == "initializer":
+            # Replaced as a whole, but for the views it looks at.
+            mine = replace(mine, max_views=option_of(theirs, "max_views")) if has_option(mine, "max_views") else mine
         elif slot in SLOTS and not SLOTS[slot].many:
             mine, theirs = name_of(mine), name_of(theirs)
         if mine != theirs:

@@ -101,7 +101,7 @@ class Sculpting(Reconstructor):
         assert self._settled is not None, "a step begins with settling"  # noqa: S101
         settled, self._settled = self._settled, None
         factor = self._rates.factor(moment.progress) * moment.rate
-        rate = self._rates.surface(factor, moment.step, self._host.progress())
+        rate = self._rates.surface(factor, moment.step, moment.progress)
         report = self.trainer.update(settled, self.images, self._stage_config, rate)
         self._forget_shown()
         bands = prune_bands(self.trainer, settled.binding, self.judge, self.config.trainer, moment.step + 1)

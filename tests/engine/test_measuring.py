@@ -21,11 +21,12 @@ from sculpt_framework.engine.session import Session
 from sculpt_framework.errors import DataError
 from sculpt_framework.evaluation.album import ERROR_LIMIT, view_pictures
 from sculpt_framework.evaluation.curve import read_curve
+from sculpt_framework.evaluation.evaluator import Evaluator, image_measures
 from sculpt_framework.evaluation.geometry import MeasuredMesh
 from sculpt_framework.evaluation.mesh import Mesh, load_mesh
 from sculpt_framework.evaluation.pictures import error_colors
 from sculpt_framework.export.drawn_mesh import draw_mesh_in_colors
-from sculpt_framework.types import Camera, Scene, View
+from sculpt_framework.types import Camera, Rendering, Scene, View
 from sculpt_plugins.datasets.blender.config import BlenderConfig
 from sculpt_plugins.observers.recorder.config import RecorderConfig
 
@@ -89,6 +90,34 @@ def test_time_spent_measuring_is_not_training(
     assert trained < 1000.0
     times = [(event.t_train, event.t_wall) for event in events]
     assert times == sorted(times)
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_views_that_show_nothing_are_not_measured_and_numbers_that_are_none_are_told(scene: Scene, value: float):
+    shown = scene.train[0]
+    assert shown.alpha is not None
+    empty = replace(shown, alpha=torch.zeros_like(shown.alpha))
+
+    def white(camera: Camera) -> Rendering:
+        blank = torch.zeros(camera.height, camera.width)
+        return Rendering(rgb=torch.ones(camera.height, camera.width, 3), alpha=blank, depth=blank)
+
+    def broken(camera: Camera) -> Rendering:
+        made = white(camera)
+        made.rgb[3, 4, 0] = value
+        return made
+
+    alone, both = (image_measures(white, views) for views in ([shown], [shown, empty]))
+    assert alone == both
+    assert image_measures(white, [empty]) == dict.fromkeys(alone, None)
+    with pytest.raises(FloatingPointError, match="held-out view is not finite"):
+        image_measures(broken, [shown])
+
+
+def test_a_reference_without_area_is_one_line(scene: Scene, tmp_path: Path):
+    (tmp_path / "flat.obj").write_text("v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n")
+    with pytest.raises(DataError, match=r"flat\.obj cannot be compared with"):
+        Evaluator(small_config(reference=tmp_path / "flat.obj"), scene, ())
 
 
 # -- inputs ----------------------------------------------------------------------------------------------------------

@@ -347,3 +347,12 @@ def test_a_frozen_surface_outlives_a_resumed_run(scene: Scene, tmp_path: Path):
     points = first.box.center
     assert float(first.field(points[None]).detach()) == float(again.field(points[None]))
     assert float(first.field(points[None]).detach()) != float(method_of(session).trainer.field(points[None]).detach())
+
+
+def test_a_replay_of_another_file_is_one_line(tmp_path: Path):
+    (tmp_path / "config.json").write_text('{\n  "method": "gaussian-sculpting"\n}\n')
+    with pytest.raises(ConfigError, match=r"config.json holds no events; expected the events.jsonl of a run"):
+        read_recorded(tmp_path / "config.json")
+    # A run may be killed while it writes its first line.
+    (tmp_path / "events.jsonl").write_text('{"v": 1, "eve')
+    assert read_recorded(tmp_path / "events.jsonl") == []

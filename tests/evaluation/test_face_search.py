@@ -83,3 +83,15 @@ def test_one_triangle_and_a_point_that_is_no_number():
     squared, _ = FaceSearch(bumpy()).squared_distances(np.array([[np.nan, 0.0, 0.0], [0.7, 0.0, 0.0]]))
     assert not squared[0] < 1e300
     assert squared[1] < 1e-2
+
+
+def test_what_is_far_away_does_not_fill_the_cells_nearby():
+    ball = mesh_of(trimesh.creation.icosphere(subdivisions=6, radius=0.7))
+    far = np.array([[300.0, 300.0, 300.0], [300.01, 300.0, 300.0], [300.0, 300.01, 300.0]])
+    vertices = np.concatenate([ball.vertices, far])
+    alone, unused = face_grid(ball), face_grid(Mesh(vertices=vertices, faces=ball.faces))
+    assert alone is not None
+    assert unused is not None
+    assert unused.side == alone.side
+    faces = np.concatenate([ball.faces, np.arange(3)[None] + len(ball.vertices)])
+    assert face_grid(Mesh(vertices=vertices, faces=faces)) is None

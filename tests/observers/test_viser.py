@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
@@ -236,3 +237,9 @@ def test_other_machines_are_shown_the_tunnel_instead(run_dir: Path, host: str):
 def test_a_port_that_is_none_is_one_clear_line(run_dir: Path):
     with pytest.raises(ConfigError, match="the viewer cannot listen on"):
         ViserObserver(ViserConfig(port=70_000), run_dir)
+
+
+def test_a_small_mesh_in_map_coordinates_is_shown_as_it_is():
+    vertices = np.array([[5.2e6, 4.1e5, 100.0], [5.2e6 + 0.2, 4.1e5, 100.0], [5.2e6, 4.1e5 + 0.1, 100.0]])
+    shown = Snapshot.of_mesh(vertices, np.array([[0, 1, 2]]), torch.zeros(3, 3))
+    np.testing.assert_allclose(shown.box.to_world(shown.surface.vertices.double()).numpy(), vertices, atol=1e-6)

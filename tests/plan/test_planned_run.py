@@ -15,7 +15,7 @@ from sculpt_framework.command_line.request import read_request
 from sculpt_framework.config import MethodConfig
 from sculpt_framework.engine.run import run
 from sculpt_framework.engine.session import Session
-from sculpt_framework.errors import ConfigError
+from sculpt_framework.errors import ConfigError, DataError
 from sculpt_framework.events import Event
 from sculpt_framework.plan.decision import read_plan
 from sculpt_framework.plan.make import plan_scene
@@ -201,3 +201,9 @@ def test_a_term_that_acts_now_and_then_never_rests() -> None:
     for _ in range(10):
         never.saw("hinge", 0.0, 1.0)
         assert never.due("hinge")
+
+
+def test_a_scene_that_no_view_shows_is_one_line(scene: Scene) -> None:
+    blank = tuple(replace(view, alpha=torch.zeros_like(view.rgb[..., 0])) for view in scene.train)
+    with pytest.raises(DataError, match="no train view shows anything of the object's box"):
+        plan_scene(small("on"), replace(scene, train=blank))

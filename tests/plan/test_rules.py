@@ -290,3 +290,16 @@ def test_an_item_is_switched_by_itself() -> None:
     assert set(changed) == {"places"}
     assert config.trainer == alone.trainer
     assert decided(USUAL, replace(method(), plan=PlanConfig(mode="off")))[1] == {}
+
+
+def test_a_start_whose_options_were_set_by_hand_is_kept() -> None:
+    plain = method()
+    mine = with_options(plain, "initializer", neighbours=12)
+    config, _, kept = decide(mine, uneven(0.1), own=plain)
+    assert config.initializer == mine.initializer
+    assert [each.evidence for each in kept if each.item == "stereo"] == ["--initializer was given"]
+    # How many views are looked at is for any start.
+    fewer = with_options(plain, "initializer", max_views=20)
+    config, _, _ = decide(fewer, uneven(0.1), own=plain)
+    assert name_of(config.initializer) == "stereo"
+    assert option_of(config.initializer, "max_views") == 20

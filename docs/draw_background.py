@@ -21,7 +21,7 @@ from sculpt_framework.export.saved_gaussians import BACKGROUND_NAME, GAUSSIANS_N
 from sculpt_framework.sculpting.config import of_sculpting
 from sculpt_framework.types import Gaussians, Rendering
 
-_WIDTH = 1500
+_WIDTH, _QUALITY = 1200, 85
 
 
 def main() -> None:
@@ -35,7 +35,7 @@ def main() -> None:
     picture = np.concatenate(fitted)
     scale = min(1.0, _WIDTH / width)
     small = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    cv2.imwrite(str(options.out), (255 * small[..., ::-1]).astype(np.uint8))
+    cv2.imwrite(str(options.out), (255 * small[..., ::-1]).astype(np.uint8), [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
 
 
 @torch.no_grad()

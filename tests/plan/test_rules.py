@@ -13,7 +13,7 @@ from sculpt_framework.plan.evidence import Evidence
 from sculpt_framework.plan.make import decide
 from sculpt_framework.plan.options import option_of, with_options, without
 from sculpt_framework.registry import name_of
-from sculpt_framework.sculpting.config import PlanConfig
+from sculpt_framework.sculpting.config import PlanConfig, of_sculpting
 
 USUAL = Evidence(
     views=100,
@@ -293,7 +293,7 @@ def test_an_item_is_switched_by_itself() -> None:
 
 
 def test_a_start_whose_options_were_set_by_hand_is_kept() -> None:
-    plain = method()
+    plain = of_sculpting(method())
     mine = with_options(plain, "initializer", neighbours=12)
     config, _, kept = decide(mine, uneven(0.1), own=plain)
     assert config.initializer == mine.initializer

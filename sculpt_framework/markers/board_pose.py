@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float64
 
-from sculpt_framework.markers.calibration import BoardLens
+from sculpt_framework.markers.calibration import BoardLens, are_on_a_line
 from sculpt_framework.markers.detection import Sighting
 
 _CORNERS = 8
@@ -93,8 +93,7 @@ class _Fit:
 
 def _solutions(places: Float64[np.ndarray, "n 3"], pixels: Float64[np.ndarray, "n 2"], lens: BoardLens) -> list[_Fit]:
     """Both poses that a plane allows, each made as good as it gets, the better one first."""
-    spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
-    if spread[1] < 0.01 * spread[0]:
+    if are_on_a_line(places):
         return []
     matrix, coefficients = lens.matrix(), lens.coefficients()
     pixels = np.ascontiguousarray(pixels)

@@ -15,6 +15,8 @@ _VIEWS = 40
 _LEAST = 3
 _CORNERS = 8
 """Points in a photograph at least."""
+_FLATTEST = 0.01
+"""Of the points' spread along the line that fits them, how much there is across it at the least."""
 _OUTSIDE, _SIGMA, _NOISE = 3.5, 1.4826, 0.3
 _SHARE = 0.7
 """Of the points that must fit."""
@@ -28,6 +30,7 @@ _WORST = (3.0, 0.003)
 """Pixels, and sides of the image, root mean square: what is farther off than both does not fit a flat board."""
 _FOCAL = (0.2, 20.0)
 """In sides of the image; beyond, no lens is meant."""
+_UNTOLD = "the board does not tell the focal length: it is seen from straight above, or too small"
 _COVERED = 0.75
 """Of the way to the image's corners that points must reach for k2 to be fitted: beyond them it runs wild."""
 _FIXED = (
@@ -82,29 +85,40 @@ def calibrate(
 
     ``guess`` is a focal length in pixels to start from.
     """
-    good = [sighting for sighting in sightings if len(sighting.points) >= _CORNERS]
+    good = [sighting for sighting in sightings if _is_enough(board, sighting)]
     if len(good) < _LEAST:
-        return f"{len(good)} photographs show {_CORNERS} points of the board or more, {_LEAST} are needed"
+        return (
+            f"{len(good)} photographs show {_CORNERS} points of the board or more that are not all on one line, "
+            f"{_LEAST} are needed"
+        )
     chosen = np.unique(np.linspace(0, len(good) - 1, min(_VIEWS, len(good))).round().astype(int))
     views = [good[index] for index in chosen]
     side = float(max(width, height))
     starts = [_matrix(start, width, height) for start in ([guess] if guess else [1.2 * side, 0.7 * side, 3.0 * side])]
-    first = min((_Fit.of(board, views, (width, height), start, *_MODELS[1]) for start in starts), key=_Fit.criterion)
+    size = (width, height)
+    tried = [fit for start in starts if (fit := _Fit.of(board, views, size, start, *_MODELS[1])) is not None]
+    if not tried:
+        return _UNTOLD
+    first = min(tried, key=_Fit.criterion)
     seen = sum(len(view.points) for view in views)
     views = first.without_strays(board, views)
     if sum(len(view.points) for view in views) < _SHARE * seen:
         return _other_board(first.pixels())
     covered = _reach(views, width, height) >= _COVERED
     models = [(count, fixed) for count, fixed in _MODELS if covered or fixed & _K2]
-    fits = [_Fit.of(board, views, (width, height), first.matrix, *model) for model in models]
+    fits = [fit for model in models if (fit := _Fit.of(board, views, size, first.matrix, *model)) is not None]
+    if not fits:
+        return _UNTOLD
     best = fits[0]
     for fit in fits[1:]:
-        if fit.criterion() < best.criterion() - _GAIN and fit.center_error <= _SURE_CENTER * side:
+        if fit.is_told and fit.criterion() < best.criterion() - _GAIN and fit.center_error <= _SURE_CENTER * side:
             best = fit
     if not best.pixels() <= _worst(side):
         return _other_board(best.pixels())
     focal = float(best.matrix[0, 0])
-    if not (best.focal_error <= _SURE_FOCAL * focal and _FOCAL[0] * side < focal < _FOCAL[1] * side):
+    if not (best.is_told and _FOCAL[0] * side < focal < _FOCAL[1] * side):
+        return _UNTOLD
+    if not best.focal_error <= _SURE_FOCAL * focal:
         off = 100 * best.focal_error / focal
         return f"the board tells the focal length to {off:.1f} % only: it is seen from too steep above, or too small"
     return BoardLens(
@@ -129,6 +143,9 @@ class _Fit:
     parameters: int
     focal_error: float
     center_error: float
+    is_told: bool
+    """Whether the photographs determine it. Of singular equations OpenCV leaves out what they do not tell: it gives
+    standard errors near 0, below those that would be left if all other parameters were known."""
 
     @classmethod
     def of(
@@ -139,14 +156,27 @@ class _Fit:
         start: Float64[np.ndarray, "3 3"],
         parameters: int,
         fixed: int,
-    ) -> "_Fit":
+    ) -> "_Fit | None":
+        """None where OpenCV gives up, or ends at no focal length."""
         places = [np.ascontiguousarray(board[view.points], np.float32) for view in views]
         pixels = [np.ascontiguousarray(view.pixels - 0.5, np.float32) for view in views]
-        error, matrix, distortion, turns, shifts, errors, _, _ = cv2.calibrateCameraExtended(
-            places, pixels, size, start.copy(), np.zeros(5), flags=_FIXED | fixed
-        )
+        try:
+            error, matrix, distortion, turns, shifts, errors, _, _ = cv2.calibrateCameraExtended(
+                places, pixels, size, start.copy(), np.zeros(5), flags=_FIXED | fixed
+            )
+        except cv2.error:
+            return None
+        if not (np.isfinite(error) and np.isfinite(matrix).all() and matrix[0, 0] > 0):
+            return None
         count = 2 * sum(len(view.points) for view in views)
         deviations = np.asarray(errors).reshape(-1)
+        focal_error, center_error = float(deviations[:2].max()), float(deviations[2:4].max())
+        # A point's derivative by the logarithm of the focal length is its place beside the principal point.
+        beside = float(np.linalg.norm(np.concatenate(pixels) - np.asarray(matrix)[:2, 2]))
+        noise = float(error) / np.sqrt(2)
+        told = focal_error > matrix[0, 0] * noise / beside
+        if not fixed & _CENTER:
+            told = told and center_error > noise / np.sqrt(count / 2)
         return cls(
             matrix=np.asarray(matrix),
             distortion=np.asarray(distortion).reshape(-1),
@@ -154,8 +184,9 @@ class _Fit:
             squares=float(error) ** 2 * count / 2,
             count=count,
             parameters=parameters,
-            focal_error=float(deviations[:2].max()),
-            center_error=float(deviations[2:4].max()),
+            focal_error=focal_error,
+            center_error=center_error,
+            is_told=bool(told),
         )
 
     def criterion(self) -> float:
@@ -177,8 +208,18 @@ class _Fit:
             Sighting(points=v.points[a <= limit], pixels=v.pixels[a <= limit], markers=v.markers)
             for v, a in zip(views, away, strict=True)
         ]
-        enough = [view for view in kept if len(view.points) >= _CORNERS]
+        enough = [view for view in kept if _is_enough(board, view)]
         return enough if len(enough) >= _LEAST else list(views)
+
+
+def are_on_a_line(places: Points) -> bool:
+    """They tell no plane, and no pose of a board."""
+    spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
+    return bool(spread[1] < _FLATTEST * spread[0])
+
+
+def _is_enough(board: Points, view: Sighting) -> bool:
+    return len(view.points) >= _CORNERS and not are_on_a_line(board[view.points])
 
 
 def _worst(side: float) -> float:

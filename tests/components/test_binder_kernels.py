@@ -149,6 +149,26 @@ def test_kernels_do_what_torch_does(config: FaceBarycentricConfig, shape: Callab
         assert error < 1e-4, name
 
 
+@pytest.mark.parametrize("theta", [0.1, 0.2])
+@pytest.mark.parametrize("on_an_edge", [False, True])
+def test_opacities_whose_few_layers_never_cover_half(theta: float, on_an_edge: bool):
+    """Gaussians lie in their faces there, and have no outline to trim; those on an edge lie in two planes."""
+    config, surface = FaceBarycentricConfig(theta=theta), _plate()
+    rows = _rows(config, surface)
+    if on_an_edge:
+        rows["barycentric_logits"][:, 0, 0] = -1e3
+    expected, expected_gradients = _bound(config, surface, rows, torch.float64)
+    binding, gradients = _bound(config, surface, rows, torch.float32)
+    for name in OUTPUTS:
+        value, twin = getattr(binding, name).detach(), getattr(expected, name).detach()
+        assert torch.isfinite(twin).all(), name
+        torch.testing.assert_close(value.double(), twin, atol=2e-5, rtol=2e-5, msg=name)
+    for name, gradient in gradients.items():
+        assert torch.isfinite(expected_gradients[name]).all(), name
+        error = (gradient.double() - expected_gradients[name]).norm() / expected_gradients[name].norm()
+        assert error < 1e-4, name
+
+
 @pytest.mark.parametrize("config", CONFIGS)
 @pytest.mark.parametrize("blur", [0.0, 0.01])
 def test_faces_without_area(config: FaceBarycentricConfig, blur: float):

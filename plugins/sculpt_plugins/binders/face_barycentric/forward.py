@@ -108,7 +108,7 @@ def _trim(
         if sine[j, i] > ZERO:
             distance = barycentrics[i, k, (j + 2) % 3] * heights[j, i]
             distance -= dot(shift, (outward[j, 0, i], outward[j, 1, i], outward[j, 2, i]))
-            below = max(depth * cosine[j, i] + sine[j, i] * distance, ZERO) / deviations
+            below = max(depth * cosine[j, i] + sine[j, i] * distance, ZERO) / max(deviations, _TINY)
             through = normal_scale * cosine[j, i]
             spread = below * below - blur * blur - through * through
             x, y = _across(i, k, j, reach, mixing)

@@ -118,7 +118,8 @@ def fit_outline(
     shift = -(away[:, :, None] * neighbourhood.outward[:, None]).sum(dim=0)
     distance = distance - (shift * neighbourhood.outward[:, None]).sum(dim=2)
     below = (depth * neighbourhood.cosine)[:, None] + neighbourhood.sine[:, None] * distance
-    spread = (below.clamp(min=0.0) / deviations).square() - blur * blur
+    # Deviations are 0 where so few layers of so low an opacity never cover half.
+    spread = (below.clamp(min=0.0) / deviations.clamp(min=TINY)).square() - blur * blur
     return Fit(
         depth=torch.minimum(depth, OF_A_SHEET * neighbourhood.thickness),
         shift=shift.permute(2, 0, 1).contiguous(),
@@ -217,7 +218,7 @@ def _trims(
     x, y = across.unbind(dim=1)
     variance = x * x + y * y + TINY
     bound = torch.maximum(spread / (neighbourhood.sine.square() + TINY)[:, None], NARROWEST**2 * variance)
-    surplus = (1.0 / bound - 1.0 / variance).clamp(min=0.0) * (neighbourhood.sine > 0.0)[:, None]
+    surplus = torch.where((neighbourhood.sine > 0.0)[:, None], (1.0 / bound - 1.0 / variance).clamp(min=0.0), 0.0)
     xx, xy, yy = (surplus * x * x).sum(dim=0), (surplus * x * y).sum(dim=0), (surplus * y * y).sum(dim=0)
     # The inverse transpose of the Cholesky factor of I + sum c g g^T.
     first = (1.0 + xx).sqrt()

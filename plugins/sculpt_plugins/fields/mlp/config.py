@@ -34,6 +34,15 @@ class MlpFieldConfig(FieldConfig):
         require(
             self.skip_layer <= last, f"{option}.skip-layer", self.skip_layer, f"0 to {last}, one of the hidden layers"
         )
+        if self.skip_layer > 0:
+            encoded = 3 + 6 * self.frequencies
+            require(
+                self.hidden_units > encoded,
+                f"{option}.hidden-units",
+                self.hidden_units,
+                f"more than {encoded}, the inputs with {option}.frequencies {self.frequencies}, which "
+                f"{option}.skip-layer sees again",
+            )
 
     def build(self, cells: int, device: "torch.device") -> "MlpField":
         from sculpt_plugins.fields.mlp.field import MlpField

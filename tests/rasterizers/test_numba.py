@@ -2,13 +2,15 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
 from sculpt_framework.errors import DeviceError
+from sculpt_plugins.rasterizers.numba import sorting
 from sculpt_plugins.rasterizers.numba.config import NumbaRasterizerConfig
 from tests.rasterizers.backends import CPU
-from tests.rasterizers.splats import INPUTS, Splats, random_splats, rendered, weighted
+from tests.rasterizers.splats import INPUTS, Splats, facing_splats, random_splats, rendered, weighted
 
 
 @pytest.fixture
@@ -75,6 +77,22 @@ def test_colours_alone_have_the_gradient_they_have_among_others(channels: int):
     weighted(output).backward()
     assert bool(features.grad.any())
     assert torch.equal(features.grad, among_others)
+
+
+@pytest.mark.usefixtures("_threads_restored")
+def test_more_pairs_than_32_bits_number_are_refused(monkeypatch: pytest.MonkeyPatch):
+    """Positions would wrap around, and lists be written to other places than their own."""
+    torch.set_num_threads(1)
+
+    def counted(order: np.ndarray, tiles: np.ndarray, columns: int, counts: np.ndarray) -> None:
+        assert counts.shape == (1, 4)
+        counts[:] = 2**29
+
+    monkeypatch.setattr(sorting, "count_tiles", counted)
+    monkeypatch.setattr(sorting, "fill_tiles", lambda *_: pytest.fail("lists are written"))
+    splats = facing_splats(torch.tensor([[0.0, 0.0, 1.0]]), torch.full((1, 3), 0.1))
+    with pytest.raises(ValueError, match=r"^2147483648 pairs of a Gaussian and a tile; 32 bits number them"):
+        rendered(NumbaRasterizerConfig().build(CPU), splats, torch.float32)
 
 
 def test_other_devices_are_refused():

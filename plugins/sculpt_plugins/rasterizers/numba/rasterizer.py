@@ -140,7 +140,10 @@ def _lens(camera: Camera) -> np.ndarray:
 
 
 def _tile_lists(job: _Job, tiles: np.ndarray, keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(all tiles' lists of Gaussians by depth, one after the other; where each begins, and the end)."""
+    """(all tiles' lists of Gaussians by depth, one after the other; where each begins, and the end).
+
+    Raises ValueError for more entries than 32 bits number.
+    """
     scratch, count = job.lease.scratch, keys.shape[0]
     order = sorting.sort_by_depth(
         keys,
@@ -152,7 +155,12 @@ def _tile_lists(job: _Job, tiles: np.ndarray, keys: np.ndarray) -> tuple[np.ndar
     counts = scratch.take("counts", (job.threads, job.tile_rows * job.tile_columns), np.int32)
     starts = scratch.take("starts", (job.tile_rows * job.tile_columns + 1,), np.int32)
     sorting.count_tiles(order, tiles, job.tile_columns, counts)
-    lists = scratch.take("lists", (sorting.place_tiles(counts, starts),), np.int32)
+    entries = int(sorting.place_tiles(counts, starts))
+    if entries >= 2**31:
+        raise ValueError(
+            f"{entries} pairs of a Gaussian and a tile; 32 bits number them. Are the scales in object units?"
+        )
+    lists = scratch.take("lists", (entries,), np.int32)
     sorting.fill_tiles(order, tiles, job.tile_columns, counts, lists)
     return lists, starts
 

@@ -27,9 +27,11 @@ class DenseGridField(Field):
             self.values, inside[None, None, None], mode="bilinear", padding_mode="border", align_corners=True
         )[0, 0, 0, 0]
         outside = points - inside
-        # norm() has no gradient at 0, which is where all inner points are.
-        beyond = torch.where(outside == 0, 0.0, outside.abs()).sum(dim=1)
-        return sampled + beyond
+        # The root has no gradient at 0, which is where all inner points are; where() passes on what it leaves out as
+        # 0 times that gradient, so that the root itself must be of something else.
+        squares = outside.square().sum(dim=1)
+        beyond = squares > 0
+        return sampled + torch.where(beyond, torch.where(beyond, squares, 1.0).sqrt(), 0.0)
 
     def parameter_groups(self) -> list[ParameterGroup]:
         return [ParameterGroup(parameters=[self.values], rate=self._config.rate)]

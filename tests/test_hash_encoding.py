@@ -224,6 +224,7 @@ def test_no_points():
         {"log2_table": 40},
         {"base_resolution": 64},
         {"base_resolution": 0},
+        {"levels": 1},
     ],
 )
 def test_impossible_grids(wrong: dict[str, int]):

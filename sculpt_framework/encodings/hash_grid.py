@@ -56,6 +56,8 @@ class HashEncoding(nn.Module):
             raise ValueError(
                 f"hash grid from {base_resolution} to {finest_resolution} cells: from 1 upwards, coarsest first"
             )
+        if levels == 1 and base_resolution != finest_resolution:
+            raise ValueError(f"hash grid of one level from {base_resolution} to {finest_resolution} cells")
         growth = (finest_resolution / base_resolution) ** (1.0 / max(levels - 1, 1))
         self.resolutions = tuple(round(base_resolution * growth**level) for level in range(levels))
         """Cells across [-1, 1], coarsest first."""

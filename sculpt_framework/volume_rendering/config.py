@@ -38,6 +38,12 @@ class RadianceConfig:
         """Raises ConfigError, as a component's does."""
         fine, coarse = self.finest_resolution, self.base_resolution
         require(fine >= coarse, f"{option}.finest-resolution", fine, f"{option}.base-resolution ({coarse}) or more")
+        require(
+            self.num_levels > 1 or fine == coarse,
+            f"{option}.finest-resolution",
+            fine,
+            f"{option}.base-resolution ({coarse}), as {option}.num-levels is 1",
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,10 +1,15 @@
 """Levels of the hash grid field: as wide as the cells it is sampled with."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
+from sculpt_framework.errors import ConfigError
 from sculpt_framework.shape_from_images.field_fit import fit_field
 from sculpt_framework.shape_from_images.volume import sample
+from sculpt_framework.volume_rendering.config import RadianceConfig
+from sculpt_plugins.appearances.color_field.config import ColorFieldConfig
 from sculpt_plugins.fields.hash_grid.config import HashGridFieldConfig
 
 CPU = torch.device("cpu")
@@ -29,6 +34,29 @@ def test_what_is_given_holds_whatever_the_grid_has():
     assert levels(given, 44) == levels(given, 128) == [4, 16, 64]
     assert levels(HashGridFieldConfig(num_levels=2, log2_table=24), 16) == [4, 32]
     assert levels(HashGridFieldConfig(finest_resolution=40, log2_table=24), 128) == [5, 10, 20, 40]
+
+
+@pytest.mark.parametrize(
+    ("option", "config"),
+    [
+        ("field", HashGridFieldConfig(num_levels=1, base_resolution=16, finest_resolution=64)),
+        ("appearance", ColorFieldConfig(num_levels=1, base_resolution=16, finest_resolution=64)),
+        ("radiance", RadianceConfig(num_levels=1, base_resolution=16, finest_resolution=64)),
+    ],
+)
+def test_one_level_has_one_resolution(option: str, config: HashGridFieldConfig | ColorFieldConfig | RadianceConfig):
+    message = rf"^--{option}.finest-resolution is 64; expected {option}.base-resolution \(16\), as "
+    with pytest.raises(ConfigError, match=message + rf"{option}.num-levels is 1\.$"):
+        config.check(option)
+    replace(config, finest_resolution=16).check(option)
+    replace(config, num_levels=2).check(option)
+
+
+@pytest.mark.parametrize("finest", [None, 16])
+def test_a_single_level_has_the_base_resolution(finest: int | None):
+    config = HashGridFieldConfig(num_levels=1, base_resolution=16, finest_resolution=finest, log2_table=24)
+    config.check("field")
+    assert levels(config, 44) == [16]
 
 
 def fit_of_a_bar(config: HashGridFieldConfig, cells: int) -> tuple[float, float]:

@@ -34,6 +34,12 @@ class ColorFieldConfig(AppearanceConfig):
     def check(self, option: str) -> None:
         fine, coarse = self.finest_resolution, self.base_resolution
         require(fine >= coarse, f"{option}.finest-resolution", fine, f"{option}.base-resolution ({coarse}) or more")
+        require(
+            self.num_levels > 1 or fine == coarse,
+            f"{option}.finest-resolution",
+            fine,
+            f"{option}.base-resolution ({coarse}), as {option}.num-levels is 1",
+        )
 
     def build(self, device: "torch.device") -> "ColorFieldAppearance":
         from sculpt_plugins.appearances.color_field.appearance import ColorFieldAppearance

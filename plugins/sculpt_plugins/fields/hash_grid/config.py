@@ -27,7 +27,7 @@ class HashGridFieldConfig(FieldConfig):
     """Cells across [-1, 1] at the coarsest level; without a number of levels, at least so many."""
     finest_resolution: Annotated[int | None, at_least(1)] = None
     """Cells across [-1, 1] at the finest level. If not given, twice as many as the finest grid of the run has: the last
-    level is for boxes that are refined."""
+    level is for boxes that are refined. A single level has the base resolution."""
     sphere_radius: Annotated[float, above(0)] = 0.5
     """Radius of the sphere the field starts as, in object units."""
     rate: Annotated[float, at_least(0)] = 4e-3
@@ -38,6 +38,12 @@ class HashGridFieldConfig(FieldConfig):
         fine, coarse = self.finest_resolution, self.base_resolution
         if fine is not None:
             require(fine >= coarse, f"{option}.finest-resolution", fine, f"{option}.base-resolution ({coarse}) or more")
+            require(
+                self.num_levels != 1 or fine == coarse,
+                f"{option}.finest-resolution",
+                fine,
+                f"{option}.base-resolution ({coarse}), as {option}.num-levels is 1",
+            )
 
     def build(self, cells: int, device: "torch.device") -> "HashGridField":
         from sculpt_plugins.fields.hash_grid.field import HashGridField

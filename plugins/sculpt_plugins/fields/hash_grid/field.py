@@ -24,9 +24,9 @@ class HashGridField(Field):
     def __init__(self, config: HashGridFieldConfig, cells: int):
         super().__init__()
         self._config = config
-        finest = config.finest_resolution or 2 * cells
-        coarsest = min(config.base_resolution, finest)
         levels = config.num_levels
+        finest = config.finest_resolution or (config.base_resolution if levels == 1 else 2 * cells)
+        coarsest = min(config.base_resolution, finest)
         if levels is None:
             levels = (finest // coarsest).bit_length()
             coarsest = finest / 2 ** (levels - 1)

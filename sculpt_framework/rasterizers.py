@@ -55,6 +55,17 @@ class Rasterizer(ABC):
     ) -> RasterOutput:
         """Gradients reach every tensor argument but the background, ``camera.world_to_camera`` included."""
 
+    def draw_one(self, device: torch.device) -> None:
+        """One Gaussian: kernels are compiled when they are first used, and what that takes may be missing."""
+        one = torch.ones(1, device=device)
+        pose = torch.eye(4, device=device)
+        pose[2, 3] = 2.0
+        camera = Camera(world_to_camera=pose, fx=4.0, fy=4.0, cx=2.0, cy=2.0, width=4, height=4)
+        self.rasterize(
+            torch.zeros(1, 3, device=device), one.expand(1, 3), torch.eye(3, device=device)[None], 0.5 * one,
+            one[:, None], camera, 0.0 * one, low_pass_px2=0.3, alpha_max=0.999,
+        )  # fmt: skip
+
     def render(
         self,
         gaussians: Gaussians,

@@ -5,7 +5,7 @@ import os
 import pytest
 import torch
 
-from sculpt_framework.encodings.hash_grid import HashEncoding, corner_entries, encode_in_torch
+from sculpt_framework.encodings.hash_grid import HashEncoding, corner_entries, encode_in_torch, triton_on
 
 # Where there is no GPU, Triton's kernels run in its interpreter, which has to be said before triton is imported.
 if not torch.cuda.is_available():
@@ -121,6 +121,27 @@ def test_cuda_takes_them():
     encoded = encoding(points.to(device))
     assert type(encoded.grad_fn).__name__ == "TritonEncodingBackward"
     torch.testing.assert_close(encoded.cpu(), expected, rtol=0.0, atol=2e-5)
+
+
+def test_where_triton_does_not_run_torch_does(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture):
+    triton = pytest.importorskip("triton", reason="triton is not installed; it comes with the extra 'dev' on Linux")
+    from sculpt_framework.encodings import hash_grid_triton
+
+    assert triton_on(ACCELERATOR.type) is hash_grid_triton.TritonEncoding
+    assert not caplog.records
+
+    def launched(*_: object) -> None:
+        raise RuntimeError("Failed to find C compiler. Please specify via CC environment variable.\nmore")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(hash_grid_triton, "_launch", launched)
+        assert triton_on(ACCELERATOR.type) is None
+    assert "hash grid: torch does it" in caplog.text
+    assert "Failed to find C compiler" in caplog.text
+    caplog.clear()
+    monkeypatch.setattr(triton, "__version__", "3.4.0")
+    assert triton_on(ACCELERATOR.type) is None
+    assert "the hash grid needs Triton 3.5 or later, but this is 3.4.0" in caplog.text
 
 
 def test_twin_by_finite_differences():

@@ -1,5 +1,6 @@
 """Features on a pyramid of grids, fine ones hashed into tables (Müller et al. 2022)."""
 
+import logging
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
@@ -14,6 +15,7 @@ from torch.autograd.function import once_differentiable
 
 from sculpt_framework.cpu_kernels import array_of, kernel_cache, share_threads
 from sculpt_framework.geometry.band import corner_offsets
+from sculpt_framework.triton_package import require_triton
 
 with kernel_cache("hash-grid", Path(__file__).with_name("hash_grid_kernels.py")):
     from sculpt_framework.encodings import hash_grid_kernels
@@ -89,10 +91,22 @@ class HashEncoding(nn.Module):
 def _kernels(device: str) -> "type[_CompiledEncoding | TritonEncoding] | None":
     """What is compiled for a type of device. Triton comes with torch for CUDA on Linux; elsewhere torch does it."""
     if device == "cuda" and find_spec("triton") is not None:
+        return triton_on(device)
+    return _CompiledEncoding if device == "cpu" else None
+
+
+def triton_on(device: str) -> "type[TritonEncoding] | None":
+    """None, and a warning, where Triton is too old or does not run: its first launch needs a C compiler."""
+    try:
+        require_triton("the hash grid", "let torch do it")
         from sculpt_framework.encodings.hash_grid_triton import TritonEncoding
 
-        return TritonEncoding
-    return _CompiledEncoding if device == "cpu" else None
+        TritonEncoding.apply(torch.zeros(1, 3, device=device), (1,), True, torch.zeros(8, 1, device=device))
+    except Exception as error:  # A missing compiler, driver or header shows as anything.
+        cause = f"{type(error).__name__}: {error}".splitlines()[0]
+        logging.getLogger("sculpt").warning("hash grid: torch does it, which is slower, as Triton fails (%s)", cause)
+        return None
+    return TritonEncoding
 
 
 class _CompiledEncoding(torch.autograd.Function):

@@ -19,8 +19,11 @@ from sculpt_framework.errors import ComponentImportError, DeviceError
 from sculpt_framework.rasterizers import Rasterizer
 from sculpt_framework.rendering.projection import JACOBIAN_MARGIN, project
 from sculpt_framework.types import Camera
+from sculpt_plugins.rasterizers.auto.config import AutoRasterizerConfig
+from sculpt_plugins.rasterizers.gsplat.rasterizer import GsplatRasterizer
 from sculpt_plugins.rasterizers.numba.config import NumbaRasterizerConfig
 from sculpt_plugins.rasterizers.reference.config import ReferenceRasterizerConfig
+from sculpt_plugins.rasterizers.reference.rasterizer import ReferenceRasterizer
 from sculpt_plugins.rasterizers.triton.config import TritonRasterizerConfig
 from tests.rasterizers.backends import CPU, INTERPRETED
 from tests.rasterizers.splats import Splats, facing_splats, random_splats, rendered
@@ -30,6 +33,7 @@ tl = pytest.importorskip("triton.language")
 
 from sculpt_plugins.rasterizers.triton import layout, measure, projection, scenes, tiles  # noqa: E402
 from sculpt_plugins.rasterizers.triton.compositing import split  # noqa: E402
+from sculpt_plugins.rasterizers.triton.rasterizer import TritonRasterizer  # noqa: E402
 from sculpt_plugins.rasterizers.triton.splatting import Screen  # noqa: E402
 
 pytestmark = INTERPRETED
@@ -253,6 +257,28 @@ def test_errors_say_what_to_do(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setitem(sys.modules, "triton", None)
     with pytest.raises(ComponentImportError, match="comes with torch for CUDA on Linux"):
         TritonRasterizerConfig().build(torch.device("cuda"))
+
+
+def test_a_missing_compiler_shows_before_anything_is_drawn(monkeypatch: pytest.MonkeyPatch):
+    """Triton compiles a launcher at its first launch, in C."""
+
+    def drawn(self: TritonRasterizer, device: torch.device) -> None:
+        raise RuntimeError("Failed to find C compiler. Please specify via CC environment variable.\nmore")
+
+    monkeypatch.setattr(TritonRasterizer, "draw_one", drawn)
+    with pytest.raises(DeviceError, match=r"does not run on cuda \(RuntimeError: Failed to find C compiler\. .*gcc"):
+        TritonRasterizerConfig().build(torch.device("cuda"))
+    # So that another one is taken.
+    assert isinstance(AutoRasterizerConfig().build(torch.device("cuda")), ReferenceRasterizer | GsplatRasterizer)
+    monkeypatch.setattr(TritonRasterizer, "draw_one", lambda self, device: None)
+    assert isinstance(TritonRasterizerConfig().build(torch.device("cuda")), TritonRasterizer)
+    monkeypatch.setattr(triton, "__version__", "3.4.0")
+    with pytest.raises(ComponentImportError, match=r"needs Triton 3\.5 or later, but this is 3\.4\.0"):
+        TritonRasterizerConfig().build(torch.device("cuda"))
+
+
+def test_one_gaussian_is_drawn_to_see_whether_kernels_run():
+    TritonRasterizerConfig().build(DEVICE).draw_one(DEVICE)
 
 
 def test_inputs_on_two_devices_are_refused():

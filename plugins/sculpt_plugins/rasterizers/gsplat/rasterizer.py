@@ -132,19 +132,12 @@ def load_gsplat(device: torch.device) -> Callable:
             "it with pip install 'gaussian-sculpting[gsplat]', or use --rasterizer triton."
         ) from error
     logging.getLogger("sculpt").info("rasterizer gsplat: compiling its CUDA kernels, minutes when it is the first time")
-    one = torch.ones(1, device=device)
-    pose = torch.eye(4, device=device)
-    pose[2, 3] = 2.0
-    camera = Camera(world_to_camera=pose, fx=4.0, fy=4.0, cx=2.0, cy=2.0, width=4, height=4)
     try:
-        GsplatRasterizer(rasterization).rasterize(
-            torch.zeros(1, 3, device=device), one.expand(1, 3), torch.eye(3, device=device)[None], 0.5 * one,
-            one[:, None], camera, 0.0 * one, low_pass_px2=0.3, alpha_max=_ALPHA_MAX,
-        )  # fmt: skip
+        GsplatRasterizer(rasterization).draw_one(device)
     except Exception as error:  # A missing compiler shows as anything from AttributeError to CalledProcessError.
         raise DeviceError(
             f"rasterizer 'gsplat' does not run on {device} ({_first_line(error)}). It needs a CUDA toolkit with nvcc "
-            "that fits torch, and a C++ compiler; --rasterizer triton needs neither."
+            "that fits torch, and a C++ compiler; --rasterizer triton needs a C compiler alone."
         ) from error
     return rasterization
 

@@ -92,7 +92,7 @@ def test_points_that_no_view_can_place():
 
 def test_what_is_behind_all_cameras_is_outside():
     views = [ball_view((0.9, y, 0.1), (60, 60), 0.3) for y in (-0.3, 0.0, 0.3)]
-    hull = visual_hull(views, 10.0, CPU)
+    hull = visual_hull(views, 10, CPU)
     inside, behind, beside = hull(torch.tensor([[0.0, 0.0, 0.0], [2.0, 0.1, 0.1], [0.95, 3.0, 0.1]])).tolist()
     assert inside < 0
     assert behind > 0

@@ -52,3 +52,8 @@ class TrainingFailed(Exception):
 
     No SculptError: it may be the input, the settings or a fault of ours. Exit code 1.
     """
+
+
+def first_line(error: BaseException) -> str:
+    """Of what kind the error is, and the first line of what it says."""
+    return f"{type(error).__name__}: {error}".splitlines()[0]

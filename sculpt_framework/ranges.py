@@ -75,6 +75,15 @@ def require(holds: bool, option: str, value: object, expected: str) -> None:
         raise ConfigError(f"--{option} is {value}; expected {expected}.")
 
 
+def require_levels(option: str, levels: int | None, coarse: int, fine: int) -> None:
+    """Raise ConfigError unless a pyramid of so many grids, whose number may be open, can reach from so many cells at
+    its coarsest level to so many at its finest; ``option`` is that of the component."""
+    name = f"{option}.finest-resolution"
+    require(fine >= coarse, name, fine, f"{option}.base-resolution ({coarse}) or more")
+    holds = levels != 1 or fine == coarse
+    require(holds, name, fine, f"{option}.base-resolution ({coarse}), as {option}.num-levels is 1")
+
+
 def _ranges_in(hint: Any) -> Iterator[Range]:
     """Also of members of a union and items of a tuple."""
     for part in get_args(hint):

@@ -31,7 +31,7 @@ from sculpt_framework.config import (
     ObserverConfig,
     RasterizerConfig,
 )
-from sculpt_framework.errors import ComponentImportError, ConfigError, UnknownComponentError
+from sculpt_framework.errors import ComponentImportError, ConfigError, UnknownComponentError, first_line
 from sculpt_plugins.builtin import BUILTIN, EXPORTERS, METHODS
 
 OWN_PACKAGE = "gaussian-sculpting"
@@ -99,7 +99,7 @@ class Candidate:
         try:
             return EntryPoint(name=self.name, value=self.value, group="").load()
         except Exception as error:  # Whatever a broken package raises while it is imported.
-            cause = f"{type(error).__name__}: {error}".splitlines()[0]
+            cause = first_line(error)
             raise ComponentImportError(
                 f"{what} {self.name!r} of package {self.package!r} cannot be imported from {self.value!r} ({cause}). "
                 f"Repair or uninstall that package, or choose another {what}."

@@ -1,6 +1,6 @@
 """Whether the package Triton is there, and new enough for the kernels that are written in it."""
 
-from sculpt_framework.errors import ComponentImportError
+from sculpt_framework.errors import ComponentImportError, first_line
 
 _OLDEST = (3, 5)
 """Earlier ones know no products of matrices with eight columns."""
@@ -13,7 +13,7 @@ def require_triton(who: str, instead: str) -> None:
 
         version = tuple(int(part) for part in triton.__version__.split(".")[:2])
     except Exception as error:  # Whatever a broken installation raises.
-        cause = f"{type(error).__name__}: {error}".splitlines()[0]
+        cause = first_line(error)
         raise ComponentImportError(
             f"{who} needs the package triton, which cannot be imported ({cause}). It comes with torch for CUDA on "
             f"Linux: install that, or {instead}."

@@ -91,6 +91,11 @@ class View:
     source: Path | None = None
     """The file the image was read from; None if it was not."""
 
+    @property
+    def shows_object(self) -> bool:
+        """Whether more than half of any pixel is covered; always where nothing is known of coverage."""
+        return self.alpha is None or bool((self.alpha > 0.5).any())
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Box:

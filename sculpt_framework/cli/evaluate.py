@@ -78,16 +78,9 @@ def evaluate(words: Sequence[str]) -> None:
 
 
 def _prepared(reference: Path | None, request: EvaluateRequest) -> "MeasuredMesh | None":
-    from sculpt_framework.errors import DataError
-    from sculpt_framework.evaluation.geometry import MeasuredMesh
-    from sculpt_framework.evaluation.mesh import load_mesh
+    from sculpt_framework.evaluation.geometry import measured_file
 
-    if reference is None:
-        return None
-    try:
-        return MeasuredMesh(load_mesh(reference), request.samples)
-    except ValueError as error:
-        raise DataError(f"{reference} cannot be compared with: all its faces have area 0") from error
+    return None if reference is None else measured_file(reference, request.samples)
 
 
 def _of_mesh(

@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
 from sculpt_framework.cpu_kernels import array_of, kernel_cache, share_threads
+from sculpt_framework.errors import first_line
 from sculpt_framework.geometry.band import corner_offsets
 from sculpt_framework.triton_package import require_triton
 
@@ -103,8 +104,9 @@ def triton_on(device: str) -> "type[TritonEncoding] | None":
 
         TritonEncoding.apply(torch.zeros(1, 3, device=device), (1,), True, torch.zeros(8, 1, device=device))
     except Exception as error:  # A missing compiler, driver or header shows as anything.
-        cause = f"{type(error).__name__}: {error}".splitlines()[0]
-        logging.getLogger("sculpt").warning("hash grid: torch does it, which is slower, as Triton fails (%s)", cause)
+        logging.getLogger("sculpt").warning(
+            "hash grid: torch does it, which is slower, as Triton fails (%s)", first_line(error)
+        )
         return None
     return TritonEncoding
 

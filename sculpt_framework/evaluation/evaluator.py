@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,11 +10,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sculpt_framework.config import MethodConfig
-from sculpt_framework.errors import DataError
 from sculpt_framework.evaluation.consistency import CURVE_PAIRS, CURVE_PIXELS, PosedImages
-from sculpt_framework.evaluation.geometry import MeasuredMesh
+from sculpt_framework.evaluation.geometry import measured_file
 from sculpt_framework.evaluation.images import fitted_psnr, mask_iou, psnr, ssim
-from sculpt_framework.evaluation.mesh import Mesh, load_mesh
+from sculpt_framework.evaluation.mesh import Mesh
 from sculpt_framework.evaluation.mesh_report import mesh_measures, result_measures
 from sculpt_framework.memory import peak_megabytes
 from sculpt_framework.reconstructor import Reconstructor
@@ -40,7 +38,7 @@ class Evaluator:
         """``held_out`` are numbers of train views; only some of them are looked at."""
         self.views = some_views([scene.train[number] for number in held_out], _VIEWS_AT_MOST, _PIXELS_AT_MOST)
         reference = config.reference or scene.reference_mesh
-        self.reference = None if reference is None else _measured(reference)
+        self.reference = None if reference is None else measured_file(reference, CURVE_SAMPLES)
         self._scene = scene
 
     def measure(self, method: Reconstructor) -> dict[str, Any]:
@@ -109,13 +107,6 @@ def on_white(view: View) -> Float[Tensor, "h w 3"]:
     return (view.rgb * alpha).float() + (1 - alpha.float()) * torch.ones(3)
 
 
-def _measured(reference: Path) -> MeasuredMesh:
-    try:
-        return MeasuredMesh(load_mesh(reference), CURVE_SAMPLES)
-    except ValueError as error:
-        raise DataError(f"{reference} cannot be compared with: {error}") from error
-
-
 def image_measures(render: Callable[[Camera], Rendering], views: Sequence[View]) -> dict[str, float | None]:
     """Means over the views that show the object of psnr and psnr_fitted (dB), ssim and iou (of masks), on white.
 
@@ -123,7 +114,7 @@ def image_measures(render: Callable[[Camera], Rendering], views: Sequence[View])
     """
     scores: dict[str, list[float]] = {"psnr": [], "psnr_fitted": [], "ssim": [], "iou": []}
     for view in views:
-        if view.alpha is not None and not bool((view.alpha > 0.5).any()):
+        if not view.shows_object:
             continue
         with torch.no_grad():
             rendering = render(view.camera)

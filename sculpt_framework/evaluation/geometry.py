@@ -20,13 +20,15 @@ from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float64, Int64
 from scipy.spatial import KDTree
 
+from sculpt_framework.errors import DataError
 from sculpt_framework.evaluation.face_search import FaceSearch
-from sculpt_framework.evaluation.mesh import Mesh
+from sculpt_framework.evaluation.mesh import Mesh, load_mesh
 
 RELATIVE_THRESHOLDS = (0.001, 0.002, 0.005, 0.01)
 """F-score thresholds as shares of the diagonal of the reference's bounding box."""
@@ -156,6 +158,14 @@ class MeasuredMesh:
         corners = self.mesh.vertices[self.mesh.faces[face]]
         cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         return cross / np.linalg.norm(cross, axis=1, keepdims=True)
+
+
+def measured_file(path: Path, samples: int) -> MeasuredMesh:
+    """A mesh to compare with. Raises DataError for a file that holds none, or none with an area."""
+    try:
+        return MeasuredMesh(load_mesh(path), samples)
+    except ValueError as error:
+        raise DataError(f"{path} cannot be compared with: all its faces have area 0") from error
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -4,8 +4,9 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int64
+from jaxtyping import Bool, Float, Float64, Int64
 from scipy.spatial import KDTree
 from torch import Tensor, nn
 
@@ -14,6 +15,7 @@ from sculpt_framework.export.gaussian_files import rotations_from_quaternions
 from sculpt_framework.free_gaussians.config import DensityConfig, GaussianRates
 from sculpt_framework.geometry.signed_distance import EmptySurfaceError
 from sculpt_framework.parameters import ParameterGroup, state_below
+from sculpt_framework.rendering.spherical_harmonics import BAND_0
 from sculpt_framework.types import Camera, Gaussians
 
 _OPACITY = 0.1
@@ -22,7 +24,7 @@ _SPLIT = 1.6
 """A Gaussian that is split leaves two, smaller by this (3DGS, 5.2)."""
 _FLAT = 1e-6
 """Object units: the thickness of a disk."""
-_NEIGHBOURS = 3
+NEIGHBOURS = 3
 """To begin with, a Gaussian is as large as these are far."""
 
 
@@ -34,6 +36,11 @@ class Worth:
     """In place of their own."""
     pull: Float[Tensor, " g"]
     """Added to the mean pull in the image, in half images."""
+
+
+def spacing(points: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
+    """How far the nearest ``NEIGHBOURS`` of each are, in the mean; infinite where there are not so many."""
+    return KDTree(points).query(points, k=NEIGHBOURS + 1)[0][:, 1:].mean(axis=1)
 
 
 class Splats:
@@ -74,21 +81,34 @@ class Splats:
     ) -> "Splats":
         """Grey, uniform in the box around the origin and in how they are turned; disks where they are ``flat``."""
         means = (2 * torch.rand(count, 3, generator=generator) - 1) * half_sides.float().cpu()
-        distances = KDTree(means.numpy()).query(means.numpy(), k=_NEIGHBOURS + 1)[0][:, 1:]
-        size = torch.from_numpy(distances.mean(axis=1)).float().clamp(min=1e-6)
-        log_scales = size.log()[:, None].repeat(1, 3)
+        scales = torch.from_numpy(spacing(means.numpy())).float().clamp(min=1e-6)[:, None].repeat(1, 3)
         if flat:
-            log_scales[:, 2] = math.log(_FLAT)
+            scales[:, 2] = _FLAT
         turns = torch.nn.functional.normalize(torch.randn(count, 4, generator=generator), dim=1)
+        grey = torch.full((count, 3), 0.5)
+        return Splats.at(means, scales, turns, grey, _OPACITY, sh_degree, rates, half_sides.device)
+
+    @staticmethod
+    def at(
+        means: Float[Tensor, "g 3"],
+        scales: Float[Tensor, "g 3"],
+        turns: Float[Tensor, "g 4"],
+        colors: Float[Tensor, "g 3"],
+        opacity: float,
+        sh_degree: int,
+        rates: GaussianRates,
+        device: torch.device,
+    ) -> "Splats":
+        """At these places, of these standard deviations, turned by these quaternions, each of one colour."""
         values = {
             "means": means,
-            "log_scales": log_scales,
+            "log_scales": scales.log(),
             "quaternions": turns,
-            "logits": torch.full((count,), _OPACITY).logit(),
-            "constant": torch.zeros(count, 1, 3),
-            "rest": torch.zeros(count, (sh_degree + 1) ** 2 - 1, 3),
+            "logits": torch.full((len(means),), opacity).logit(),
+            "constant": ((colors - 0.5) / BAND_0)[:, None],
+            "rest": torch.zeros(len(means), (sh_degree + 1) ** 2 - 1, 3),
         }
-        return Splats({name: value.to(half_sides.device) for name, value in values.items()}, rates)
+        return Splats({name: value.to(device) for name, value in values.items()}, rates)
 
     def __len__(self) -> int:
         return len(self.means)

@@ -60,7 +60,7 @@ class Gloss:
 
 def gloss(views: Sequence[View], box: Box) -> Gloss | None:
     """None where it cannot be told: too few masks, or too few points seen by enough views."""
-    masked = [view for view in views if view.alpha is not None and bool((view.alpha > 0.5).any())]
+    masked = [view for view in views if view.alpha is not None and view.shows_object]
     if len(masked) < _LEAST:
         return None
     posed = [replace(view, camera=box.camera_to_object(view.camera)) for view in masked]

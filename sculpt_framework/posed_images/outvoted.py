@@ -50,7 +50,7 @@ def without_outvoted(views: Sequence[View], box: Box) -> tuple[list[View], list[
     alpha have nothing to contradict with. Where few views have one, or so many would have to go that nobody can say
     who is right, all stay; the latter is noted.
     """
-    numbers = [number for number, view in enumerate(views) if view.alpha is not None and bool((view.alpha > 0.5).any())]
+    numbers = [number for number, view in enumerate(views) if view.alpha is not None and view.shows_object]
     if len(numbers) < FEWEST:
         return list(views), []
     outlines = in_threads(lambda number: outline_of(views[number]), numbers)

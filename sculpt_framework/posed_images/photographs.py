@@ -77,7 +77,7 @@ def load_photographs(
         views = [view for view in views if view.name in names]
         bounds = _find_box(views, clues)
         agreeing = _cut_to(bounds, views)
-    views, held_out = _showing(agreeing), _cut_to(bounds, held_out)
+    views, held_out = [view for view in agreeing if view.shows_object], _cut_to(bounds, held_out)
     if not views:
         raise DataError(f"no train image shows any of the object inside the {bounds.said}")
     return Scene(
@@ -158,7 +158,3 @@ def _cut_to(bounds: FoundBox, views: Sequence[View]) -> list[View]:
         return replace(view, alpha=view.alpha * torch.from_numpy(box_outline(view.camera, bounds.box)))
 
     return in_threads(cut, views)
-
-
-def _showing(views: Sequence[View]) -> list[View]:
-    return [view for view in views if view.alpha is None or bool((view.alpha > 0.5).any())]

@@ -89,7 +89,7 @@ def load_views(
         images, note = _key(images, split, background, all_round=all_round)
         notes.append(note)
     views = [_view(item, camera, image) for item, camera, image in zip(posed, cameras, images, strict=True)]
-    seen = [view for view in views[:split] if view.alpha is None or bool((view.alpha > 0.5).any())]
+    seen = [view for view in views[:split] if view.shows_object]
     if not seen:
         raise DataError(
             f"all {split} train images are transparent (such as {posed[0].path}, alpha nowhere above a half); "

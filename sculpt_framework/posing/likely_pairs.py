@@ -2,9 +2,13 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float32, Int64
+
+if TYPE_CHECKING:
+    import pycolmap
 
 _FEATURES = 512
 """Of an image, the largest: they are seen from farthest away, and at any size."""
@@ -19,22 +23,22 @@ _STRIDE = 5
 def likely_pairs(database: Path, names: Sequence[str]) -> list[tuple[str, str]]:
     """Of all pairs of these images, whose features the database has, those of an image with its likeliest partners, and
     those of every fifth with every fifth."""
-    chosen = _with_best(_common([_largest(database, name) for name in names]))
+    import pycolmap
+
+    opened = pycolmap.Database.open(database)
+    features = [_largest(opened, name) for name in names]
+    opened.close()
+    chosen = _with_best(_common(features))
     chosen[::_STRIDE, ::_STRIDE] = True
     first, second = np.nonzero(np.triu(chosen, 1))
     return [(names[i], names[j]) for i, j in zip(first.tolist(), second.tolist(), strict=True)]
 
 
-def _largest(database: Path, name: str) -> Float32[np.ndarray, "n 128"]:
+def _largest(opened: "pycolmap.Database", name: str) -> Float32[np.ndarray, "n 128"]:
     """Unit descriptors."""
-    import pycolmap
-
-    opened = pycolmap.Database.open(database)
     image = opened.read_image_with_name(name)
     assert image is not None, "its features have been found"  # noqa: S101
-    number = image.image_id
-    places, features = opened.read_keypoints(number), opened.read_descriptors(number)
-    opened.close()
+    places, features = opened.read_keypoints(image.image_id), opened.read_descriptors(image.image_id)
     shapes = np.asarray(places, np.float32)
     size = np.abs(shapes[:, 2] * shapes[:, 5] - shapes[:, 3] * shapes[:, 4])
     largest = np.argsort(-size, kind="stable")[:_FEATURES]

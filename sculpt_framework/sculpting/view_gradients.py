@@ -60,11 +60,12 @@ class ViewGradients:
         learn themselves (``own``) has its gradient from these views alone.
         """
         drawn = [self._draw(images) for _ in range(count if objectives else 0)]
-        leaves, behind = as_leaves(gaussians), None if around is None else as_leaves(around)
+        connected = [gaussians] if around is None else [gaussians, around]
+        leaves = [as_leaves(each) for each in connected]
         own.zero_grad()
         terms = {objective.name: 0.0 for objective in objectives}
         for number in processes.share(len(drawn)):
-            rendering, target = self._seen(leaves, behind, *drawn[number])
+            rendering, target = self._seen(*drawn[number], *leaves)
             loss = rendering.alpha.new_zeros(())
             for objective in objectives:
                 term = objective.weight * objective.term(rendering, target)
@@ -72,10 +73,8 @@ class ViewGradients:
                 loss = loss + term
             if loss.requires_grad:
                 (loss / len(drawn)).backward()
-        all_pairs = tensor_pairs(gaussians, leaves)
-        if around is not None and behind is not None:
-            all_pairs += tensor_pairs(around, behind)
-        pairs = [(value, leaf) for value, leaf in all_pairs if leaf.requires_grad]
+        both = zip(connected, leaves, strict=True)
+        pairs = [pair for each, own_leaves in both for pair in tensor_pairs(each, own_leaves) if pair[1].requires_grad]
         terms = processes.reduce([*(leaf for _, leaf in pairs), *own.parameters], terms)
         deferred = DeferredBackward()
         for value, leaf in pairs:
@@ -91,16 +90,20 @@ class ViewGradients:
         return self.order.pop()
 
     def _seen(
-        self, gaussians: Gaussians, behind: Gaussians | None, image: TrainingImage, background: Float[Tensor, " 3"]
+        self,
+        image: TrainingImage,
+        background: Float[Tensor, " 3"],
+        gaussians: Gaussians,
+        around: Gaussians | None = None,
     ) -> tuple[Rendering, Target]:
         """How a view renders, its alpha that of the object alone, and what it is compared with."""
         low_pass = self._config.low_pass_px2
-        if behind is None:
+        if around is None:
             rendering = self._rasterizer.render(gaussians, image.camera, background, low_pass_px2=low_pass)
             return rendering, image.over(background)
         black = torch.zeros_like(background)
         rendering = self._rasterizer.render(gaussians, image.camera, black, low_pass_px2=low_pass)
-        room = self._rasterizer.render(behind, image.camera, black, low_pass_px2=low_pass)
+        room = self._rasterizer.render(around, image.camera, black, low_pass_px2=low_pass)
         rgb = rendering.rgb + (1 - rendering.alpha)[..., None] * room.rgb
         return replace(rendering, rgb=rgb), image.whole()
 

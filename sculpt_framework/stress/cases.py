@@ -6,6 +6,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
+from sculpt_framework.errors import first_line
+
 Group = Literal["operators", "life", "stiff", "scenes", "guard"]
 
 
@@ -70,7 +72,7 @@ def run_cases(cases: Iterable[Case]) -> Iterator[Result]:
         try:
             found = case.measure()
         except Exception as error:  # A case that cannot be measured has failed; the suite goes on.
-            message = f"{type(error).__name__}: {error}".splitlines()[0]
+            message = first_line(error)
             found = Measured(value=math.inf, note=f"raised {message}")
         yield Result(
             id=case.id,

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from sculpt_framework.config import ExtractorConfig, FieldConfig, MethodConfig
-from sculpt_framework.ranges import above, at_least, between, require
+from sculpt_framework.ranges import above, at_least, between, require_levels
 
 if TYPE_CHECKING:
     from sculpt_framework.reconstructor import Host, Reconstructor
@@ -36,14 +36,7 @@ class RadianceConfig:
 
     def check(self, option: str) -> None:
         """Raises ConfigError, as a component's does."""
-        fine, coarse = self.finest_resolution, self.base_resolution
-        require(fine >= coarse, f"{option}.finest-resolution", fine, f"{option}.base-resolution ({coarse}) or more")
-        require(
-            self.num_levels > 1 or fine == coarse,
-            f"{option}.finest-resolution",
-            fine,
-            f"{option}.base-resolution ({coarse}), as {option}.num-levels is 1",
-        )
+        require_levels(option, self.num_levels, self.base_resolution, self.finest_resolution)
 
 
 @dataclass(frozen=True, kw_only=True)

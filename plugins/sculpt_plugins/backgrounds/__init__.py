@@ -1,1 +1,1 @@
-"""Surfaces to start from."""
+"""What photographs show around the object."""

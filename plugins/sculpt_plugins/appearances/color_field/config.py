@@ -2,7 +2,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
 from sculpt_framework.config import AppearanceConfig
-from sculpt_framework.ranges import at_least, between, require
+from sculpt_framework.ranges import at_least, between, require_levels
 
 if TYPE_CHECKING:
     import torch
@@ -32,14 +32,7 @@ class ColorFieldConfig(AppearanceConfig):
     """Learning rate of the residuals' higher bands."""
 
     def check(self, option: str) -> None:
-        fine, coarse = self.finest_resolution, self.base_resolution
-        require(fine >= coarse, f"{option}.finest-resolution", fine, f"{option}.base-resolution ({coarse}) or more")
-        require(
-            self.num_levels > 1 or fine == coarse,
-            f"{option}.finest-resolution",
-            fine,
-            f"{option}.base-resolution ({coarse}), as {option}.num-levels is 1",
-        )
+        require_levels(option, self.num_levels, self.base_resolution, self.finest_resolution)
 
     def build(self, device: "torch.device") -> "ColorFieldAppearance":
         from sculpt_plugins.appearances.color_field.appearance import ColorFieldAppearance

@@ -6,21 +6,20 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from jaxtyping import Float64
-from scipy.spatial import KDTree
 from torch import Tensor, nn
 
 from sculpt_framework.backgrounds import Background
 from sculpt_framework.errors import DataError
 from sculpt_framework.free_gaussians.config import GaussianRates
-from sculpt_framework.free_gaussians.splats import Splats
-from sculpt_framework.rendering.spherical_harmonics import BAND_0
+from sculpt_framework.free_gaussians.splats import NEIGHBOURS, Splats, spacing
 from sculpt_framework.types import Box, Camera, Gaussians, View
+from sculpt_framework.volume_rendering.pixels import rays_at
 from sculpt_plugins.backgrounds.gaussians.config import GaussiansBackgroundConfig
 
 _FAR = 4.0
 """The shell's distance from the middle of the object, in distances of the farthest camera."""
-_OPACITY, _NEIGHBOURS = 0.7, 3
-"""To begin with. A Gaussian is as large as these neighbours are far."""
+_OPACITY = 0.7
+"""To begin with."""
 _LARGEST = 4.0
 """In medians of the sizes of its kind: a stray point has no blob for a neighbourhood."""
 _RATES = GaussianRates(means=4e-4)
@@ -52,33 +51,27 @@ class FreeBackground(Background):
             raise DataError("--background gaussians: the photographs show nothing but the object; leave it out.")
         colors = torch.from_numpy(np.concatenate([part.colors for part in parts])).float()
         sizes = torch.from_numpy(np.concatenate([_sizes(part.means) for part in parts])).float()
-        turns = torch.zeros(len(means), 4)
-        turns[:, 0] = 1
-        values = {
-            "means": torch.from_numpy(means).float(),
-            "log_scales": sizes.log()[:, None].repeat(1, 3),
-            "quaternions": turns,
-            "logits": torch.full((len(means),), _OPACITY).logit(),
-            "constant": ((colors - 0.5) / BAND_0)[:, None],
-            "rest": torch.zeros(len(means), 0, 3),
-        }
-        self._splats = Splats({name: value.to(self._device) for name, value in values.items()}, _RATES)
+        places, turns = torch.from_numpy(means).float(), torch.eye(4)[:1].repeat(len(means), 1)
+        scales = sizes[:, None].repeat(1, 3)
+        self._splats = Splats.at(places, scales, turns, colors, _OPACITY, 0, _RATES, self._device)
+
+    @property
+    def _begun(self) -> Splats:
+        assert self._splats is not None, "it has begun"  # noqa: S101
+        return self._splats
 
     def gaussians(self) -> Gaussians:
-        assert self._splats is not None, "it has begun"  # noqa: S101
-        return self._splats.gaussians(1)
+        return self._begun.gaussians(1)
 
     @property
     def parameters(self) -> list[nn.Parameter]:
         return [] if self._splats is None else list(self._splats.parameters.values())
 
     def zero_grad(self) -> None:
-        assert self._splats is not None, "it has begun"  # noqa: S101
-        self._splats.zero_grad()
+        self._begun.zero_grad()
 
     def step(self, rate_factor: float) -> None:
-        assert self._splats is not None, "it has begun"  # noqa: S101
-        self._splats.step(rate_factor, rate_factor)
+        self._begun.step(rate_factor, rate_factor)
 
     def state(self) -> dict[str, Tensor]:
         return {} if self._splats is None else self._splats.state()
@@ -124,9 +117,8 @@ def _shell(views: Sequence[tuple[View, Camera]], count: int, random: np.random.G
         share = random.integers(0, (camera.height, camera.width), size=(-(-count // len(views)), 2))
         if view.alpha is not None:
             share = share[view.alpha.numpy()[share[:, 0], share[:, 1]] == 0]
-        offset = (share[:, ::-1] + 0.5 - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
-        ray = np.column_stack([offset, np.ones(len(share))]) @ camera.world_to_camera[:3, :3].double().numpy()
-        ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+        numbers = torch.from_numpy(share @ (camera.width, 1))
+        ray = rays_at(camera.to(torch.device("cpu"), torch.float64), numbers).directions.numpy()
         # Where the ray leaves the sphere, which the camera is inside of.
         along = ray @ center
         reach = -along + np.sqrt(along**2 + radius**2 - center @ center)
@@ -137,7 +129,7 @@ def _shell(views: Sequence[tuple[View, Camera]], count: int, random: np.random.G
 
 def _sizes(points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
     """By the nearest neighbours; those of a point without any are of no account."""
-    if len(points) <= _NEIGHBOURS:
+    if len(points) <= NEIGHBOURS:
         return np.full(len(points), 1e-2)
-    distances = KDTree(points).query(points, k=_NEIGHBOURS + 1)[0][:, 1:].mean(axis=1)
+    distances = spacing(points)
     return distances.clip(1e-6, _LARGEST * np.median(distances))

@@ -93,12 +93,12 @@ def _placed(
     there = {int(key.removeprefix("world_mat_")) for key in matrices if key.startswith("world_mat_")}
     chosen, notes = list(range(len(images))), []
     named = [int(image.stem) if image.stem.isdecimal() else -1 for image in images]
-    if set(named) == there and len(named) == len(there) and named != chosen:
+    if len(there) == len(images):
         # By the alphabet 10.png comes before 2.png.
-        return [placed_camera(matrices[f"world_mat_{number}"], f"{path}: world_mat_{number}") for number in named], [
-            "images and matrices are paired by their numbers, which is not the order of the images' names."
-        ]
-    if len(there) != len(images):
+        if set(named) == there and named != chosen:
+            chosen = named
+            notes = ["images and matrices are paired by their numbers, which is not the order of the images' names."]
+    else:
         if not set(named) <= there or len(set(named)) != len(named):
             raise DataError(
                 f"{path}: {len(images)} images need as many matrices world_mat_I, found {len(there)}; or images named "

@@ -2,7 +2,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from sculpt_framework.config import FieldConfig
-from sculpt_framework.ranges import above, at_least, between, require
+from sculpt_framework.ranges import above, at_least, between, require_levels
 
 if TYPE_CHECKING:
     import torch
@@ -35,15 +35,8 @@ class HashGridFieldConfig(FieldConfig):
     size."""
 
     def check(self, option: str) -> None:
-        fine, coarse = self.finest_resolution, self.base_resolution
-        if fine is not None:
-            require(fine >= coarse, f"{option}.finest-resolution", fine, f"{option}.base-resolution ({coarse}) or more")
-            require(
-                self.num_levels != 1 or fine == coarse,
-                f"{option}.finest-resolution",
-                fine,
-                f"{option}.base-resolution ({coarse}), as {option}.num-levels is 1",
-            )
+        if self.finest_resolution is not None:
+            require_levels(option, self.num_levels, self.base_resolution, self.finest_resolution)
 
     def build(self, cells: int, device: "torch.device") -> "HashGridField":
         from sculpt_plugins.fields.hash_grid.field import HashGridField

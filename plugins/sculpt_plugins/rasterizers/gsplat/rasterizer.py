@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float, Int64
 from torch import Tensor
 
-from sculpt_framework.errors import ComponentImportError, DeviceError
+from sculpt_framework.errors import ComponentImportError, DeviceError, first_line
 from sculpt_framework.rasterizers import Rasterizer, RasterOutput
 from sculpt_framework.types import Camera
 
@@ -128,7 +128,7 @@ def load_gsplat(device: torch.device) -> Callable:
         rasterization = importlib.import_module("gsplat").rasterization
     except Exception as error:  # Whatever a broken installation raises.
         raise ComponentImportError(
-            f"rasterizer 'gsplat' needs the package gsplat, which cannot be imported ({_first_line(error)}). Install "
+            f"rasterizer 'gsplat' needs the package gsplat, which cannot be imported ({first_line(error)}). Install "
             "it with pip install 'gaussian-sculpting[gsplat]', or use --rasterizer triton."
         ) from error
     logging.getLogger("sculpt").info("rasterizer gsplat: compiling its CUDA kernels, minutes when it is the first time")
@@ -136,11 +136,7 @@ def load_gsplat(device: torch.device) -> Callable:
         GsplatRasterizer(rasterization).draw_one(device)
     except Exception as error:  # A missing compiler shows as anything from AttributeError to CalledProcessError.
         raise DeviceError(
-            f"rasterizer 'gsplat' does not run on {device} ({_first_line(error)}). It needs a CUDA toolkit with nvcc "
+            f"rasterizer 'gsplat' does not run on {device} ({first_line(error)}). It needs a CUDA toolkit with nvcc "
             "that fits torch, and a C++ compiler; --rasterizer triton needs a C compiler alone."
         ) from error
     return rasterization
-
-
-def _first_line(error: Exception) -> str:
-    return f"{type(error).__name__}: {error}".splitlines()[0]

@@ -20,7 +20,7 @@ class TritonRasterizerConfig(RasterizerConfig):
 
         Where TRITON_INTERPRET=1 is set, which has Triton run kernels in Python, slowly, the CPU will do as well.
         """
-        from sculpt_framework.errors import DeviceError
+        from sculpt_framework.errors import DeviceError, first_line
         from sculpt_framework.triton_package import require_triton
 
         if device.type != "cuda" and not (device.type == "cpu" and os.environ.get("TRITON_INTERPRET") == "1"):
@@ -33,9 +33,8 @@ class TritonRasterizerConfig(RasterizerConfig):
             try:
                 rasterizer.draw_one(device)
             except Exception as error:  # A missing compiler, driver or header shows as anything.
-                cause = f"{type(error).__name__}: {error}".splitlines()[0]
                 raise DeviceError(
-                    f"rasterizer 'triton' does not run on {device} ({cause}). Triton needs a C compiler, such as gcc, "
-                    "and the header Python.h: install them, or choose another rasterizer."
+                    f"rasterizer 'triton' does not run on {device} ({first_line(error)}). Triton needs a C compiler, "
+                    "such as gcc, and the header Python.h: install them, or choose another rasterizer."
                 ) from error
         return rasterizer

@@ -21,6 +21,7 @@ from sculpt_framework.multi_view_stereo.fusion import fuse_without_outlines
 from sculpt_framework.multi_view_stereo.stereo_views import StereoViews, stereo_views
 from sculpt_framework.posed_images.grab_cut import LEAST, background_of, cut_along, masked, rough_cut
 from sculpt_framework.posed_images.plain_parts import agreed, grown
+from sculpt_framework.posed_images.still_background import with_still_background
 from sculpt_framework.posed_images.support import Plane, find_planes, goes_on
 from sculpt_framework.shape_from_images.volume import Volume, whole_box
 from sculpt_framework.threads import in_threads
@@ -315,6 +316,7 @@ def _masked(views: Sequence[View], rough: Sequence[_Rough], *, blind: bool) -> l
     cuts = in_threads(
         lambda number: rough_cut(views[number], rough[number].inside, rough[number].sure, blind=blind), bare
     )
+    cuts = with_still_background(cuts, [views[number].camera for number in bare])
     background = background_of(cuts)
     out = list(views)
     for number, mask in zip(bare, in_threads(lambda cut: cut_along(cut, background), cuts), strict=True):

@@ -274,7 +274,9 @@ def _cut_near(rough: RoughCut, found: Mask) -> Mask:
             by_colors = _cut_by(image, own, colors, _LEARNED, 2 * _NEAR)
             votes[window] += weight * (trust * by_colors + (1 - trust) * start[window] - 0.5)
             weights[window] += weight
-    return without_specks(np.where(near & (weights > 0), votes > 0, found))
+    decided = without_specks(np.where(near & (weights > 0), votes > 0, found))
+    # A gap may be as small as a speck.
+    return decided & (rough.trimap != cv2.GC_BGD)
 
 
 def _told_apart(image: Pixels, trimap: Trimap, colors: Colors) -> float:

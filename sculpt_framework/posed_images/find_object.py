@@ -44,6 +44,9 @@ _PLAIN_CELLS = 80
 _ONE_SIDED = 0.7
 """Length of the mean of the unit vectors to the cameras, from which on all are on one side of the object: cameras
 around it come to 0.4 to 0.5, those of an arm that swings over it to more than 0.8."""
+_LOOSE, _ROOMY = 0.8, 1.15
+"""A box around the object, wider than it by the second, is looked into once more where it is narrower than this share
+of the one that was looked into."""
 _MORE = 1.2
 _CLEAR = 0.01
 """Above the plane it stands on, in units of the box's half side, the object begins."""
@@ -98,15 +101,17 @@ def find_object(
     ``seed``, in the world frame, holds most of the object. Where it is not ``sure``, the object must end within it on
     most sides, unless with ``keep_support``, which leaves what it stands on.
     """
-    frame = _cube(seed)
     given = (*views, *test)
-    posed = [replace(view, camera=frame.camera_to_object(view.camera)) for view in given]
-    bare = sum(view.alpha is None for view in posed)
+    bare = sum(view.alpha is None for view in given)
     logging.getLogger("sculpt").info("%d images have no mask: looking for the object by depth", bare)
-    chosen = np.unique(np.linspace(0, len(views) - 1, min(_VIEWS, len(views))).round().astype(int))
-    solid = _solid([posed[index] for index in chosen], sure=sure, keep_support=keep_support)
-    if isinstance(solid, str):
-        return solid
+    search = _search(given, len(views), seed, sure=sure, keep_support=keep_support)
+    if isinstance(search, str):
+        return search
+    if closer := _closer(search):
+        # What is found coarsely but not in detail stays as it was found.
+        again = _search(given, len(views), closer, sure=sure, keep_support=keep_support)
+        search = search if isinstance(again, str) else again
+    frame, posed, solid = search.frame, search.posed, search.solid
     stack = stereo_views([replace(view, alpha=None) for view in posed], _AROUND * _PIXELS / 2)
     rough = _outlines(stack, len(posed), solid)
     whole = sum(int(each.inside.sum()) for each in rough)
@@ -154,6 +159,40 @@ class _Solid:
     """What there is of depths, in words."""
     points: Float64[np.ndarray, "n 3"]
     """Some of all depths."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Search:
+    """What was found in a space."""
+
+    frame: Box
+    """The space."""
+    posed: list[View]
+    """All views, with cameras in its frame."""
+    solid: _Solid
+
+
+def _search(given: Sequence[View], train: int, seed: Box, *, sure: bool, keep_support: bool) -> _Search | str:
+    """By some of the first ``train`` views, in a space around the seed."""
+    frame = _cube(seed)
+    posed = [replace(view, camera=frame.camera_to_object(view.camera)) for view in given]
+    chosen = np.unique(np.linspace(0, train - 1, min(_VIEWS, train)).round().astype(int))
+    solid = _solid([posed[index] for index in chosen], sure=sure, keep_support=keep_support)
+    return solid if isinstance(solid, str) else _Search(frame=frame, posed=posed, solid=solid)
+
+
+def _closer(search: _Search) -> Box | None:
+    """A box around the object where the one it was looked for in is much wider: pixels and cells are shares of it."""
+    cells, volume = np.argwhere(search.solid.inside), search.solid.volume
+    low, high = (
+        np.array(volume.origin) + volume.cell * corner for corner in (cells.min(axis=0), cells.max(axis=0) + 1)
+    )
+    half = _ROOMY * float((high - low).max()) / 2
+    if half > _LOOSE / _AROUND:
+        return None
+    middle = (low + high) / 2
+    low, high = (search.frame.to_world(torch.from_numpy(corner)) for corner in (middle - half, middle + half))
+    return Box(minimum=low, maximum=high)
 
 
 def _solid(views: Sequence[View], *, sure: bool, keep_support: bool) -> _Solid | str:

@@ -46,12 +46,10 @@ def main() -> None:
     layers: dict[str, Callable[[], object]] = {
         "mesh, a colour at each vertex": lambda: show_mesh(scene, paint(frame, COLORS, None, ())),
         "mesh, a colour for each face": lambda: show_mesh(scene, paint(frame, QUALITY, None, ())),
-        "wireframe": lambda: show_wireframe(scene, frame, visible=True),
-        "grid cells": lambda: show_cells(scene, cells, visible=True),
-        f"Gaussians, at most {USUAL_SPLATS}": lambda: show_splats(
-            scene, gaussians, SPLATS_AT_MOST[USUAL_SPLATS], visible=True
-        ),
-        "Gaussians, all": lambda: show_splats(scene, gaussians, len(gaussians), visible=True),
+        "wireframe": lambda: show_wireframe(scene, frame),
+        "grid cells": lambda: show_cells(scene, cells),
+        f"Gaussians, at most {USUAL_SPLATS}": lambda: show_splats(scene, gaussians, SPLATS_AT_MOST[USUAL_SPLATS]),
+        "Gaussians, all": lambda: show_splats(scene, gaussians, len(gaussians)),
     }
     try:
         with connected(f"http://127.0.0.1:{server.get_port()}") as client:

@@ -15,6 +15,7 @@ from sculpt_framework.errors import DataError
 from sculpt_framework.export.atomic import write_atomically
 from sculpt_framework.export.json_text import json_text
 from sculpt_framework.posed_images.reading import number, read_json
+from sculpt_framework.spread import spread
 from sculpt_framework.types import Scene, View
 
 FRAME_NAME = "frame.json"
@@ -49,8 +50,7 @@ def write_frame(frame: WorldFrame, folder: Path) -> Path:
 
 def cameras_told(views: Sequence[View]) -> dict[str, list[float]]:
     """Positions of a few cameras, by which ``frame_of`` sees whether a frame is of the same ones."""
-    chosen = np.unique(np.linspace(0, len(views) - 1, min(_REMEMBERED, len(views))).round().astype(int))
-    return {views[index].name: views[index].camera.position.double().tolist() for index in chosen}
+    return {view.name: view.camera.position.double().tolist() for view in spread(views, _REMEMBERED)}
 
 
 def read_frame(path: Path) -> WorldFrame:
@@ -100,9 +100,9 @@ def _same_cameras(told: Mapping[str, Any], views: Sequence[View], where: str) ->
         return False
     before = np.array([[number(v, f"{where}: cameras") for v in told[name]] for name in names], np.float64)
     now = np.array([places[name] for name in names])
-    return bool(np.abs(before - now).max() <= _AWAY * max(_spread(now), 1e-9 * float(np.abs(now).max())))
+    return bool(np.abs(before - now).max() <= _AWAY * max(_extent(now), 1e-9 * float(np.abs(now).max())))
 
 
-def _spread(places: Float64[np.ndarray, "n 3"]) -> float:
+def _extent(places: Float64[np.ndarray, "n 3"]) -> float:
     """The length that differences are measured by; of one camera, its distance from the origin."""
     return float(np.ptp(places, axis=0).max()) or float(np.linalg.norm(places[0]))

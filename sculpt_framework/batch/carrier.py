@@ -4,19 +4,19 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import FrameType
 
 from sculpt_framework.child_processes import die_with_parent
-from sculpt_framework.experiments.launching import start_process
+from sculpt_framework.experiments.launching import as_interrupt, start_process
 
 GRACE_SECONDS = 25.0
 """How long an interrupted run may take to save: Slurm kills 30 s after it has asked."""
 
 _LISTEN_SECONDS = 1.0
+_ENDS = (signal.SIGTERM,) if sys.platform == "win32" else (signal.SIGTERM, signal.SIGUSR2)
+"""What asks this process to end. By SIGUSR2 Slurm says that the time of a job is almost over."""
 
 
 def carry(command: Sequence[str], log: str, environment: Mapping[str, str]) -> int:
@@ -26,7 +26,7 @@ def carry(command: Sequence[str], log: str, environment: Mapping[str, str]) -> i
     this process is killed, so is the run. Raises OutputError where the log cannot be written.
     """
     die_with_parent()
-    with _terminate_as_interrupt():
+    with as_interrupt(_ENDS):
         with _heeding_interrupts():
             process = start_process(command, Path(log), {**os.environ, **environment})
         try:
@@ -65,22 +65,3 @@ def _heeding_interrupts() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
-
-
-@contextmanager
-def _terminate_as_interrupt() -> Iterator[None]:
-    """SIGTERM, and SIGUSR2, by which Slurm says that the time of a job is almost over, end as Ctrl-C does."""
-
-    def handle(number: int, frame: FrameType | None) -> None:
-        raise KeyboardInterrupt
-
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    numbers = (signal.SIGTERM,) if sys.platform == "win32" else (signal.SIGTERM, signal.SIGUSR2)
-    previous = [(number, signal.signal(number, handle)) for number in numbers]
-    try:
-        yield
-    finally:
-        for number, handler in previous:
-            signal.signal(number, handler)

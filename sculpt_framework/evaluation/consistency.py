@@ -134,18 +134,6 @@ class PosedImages:
         return in_threads(lambda pair: residuals(mesh, seen[pair[0]], seen[pair[1]], slack), self.pairs)
 
 
-def consistency(
-    mesh: Mesh, views: Sequence[View], *, pairs_at_most: int | None = None, pixels_at_most: int | None = None
-) -> Consistency:
-    """Measure one mesh, world frame, against posed views; ``PosedImages`` does so for many meshes in less time.
-
-    Angles between cameras are seen from the middle of the mesh's bounding box.
-    """
-    corners = mesh.corners.reshape(-1, 3)
-    center = 0.5 * (corners.min(axis=0) + corners.max(axis=0)) if len(corners) else np.zeros(3)
-    return PosedImages(views, center, pairs_at_most=pairs_at_most, pixels_at_most=pixels_at_most).measure(mesh)
-
-
 def _without(depths: Float[np.ndarray, " m"], beside: Float[np.ndarray, " m"]) -> float:
     """A high percentile of what is left along epipolar lines, but for what the same one across them explains."""
     along, across = (float(np.percentile(each, DEPTH_ERROR_PERCENTILE)) for each in (depths, beside))

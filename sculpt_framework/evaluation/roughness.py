@@ -1,6 +1,5 @@
 """How uneven a surface is at a small scale: normals against the mean normal around them."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +8,6 @@ from scipy.spatial import KDTree
 
 from sculpt_framework.evaluation.geometry import sample_surface
 from sculpt_framework.evaluation.mesh import Mesh
-from sculpt_framework.export.mesh_pixels import cosines, draw_mesh, visibility_slack
 from sculpt_framework.types import Camera
 
 FACING = 0.2
@@ -32,24 +30,6 @@ class Unevenness:
     def mean(self, chosen: Bool[np.ndarray, " n"]) -> float | None:
         """Mean angle over some of the points; None over none."""
         return float(self.degrees[chosen].mean()) if chosen.any() else None
-
-
-def roughness(mesh: Mesh, cameras: Sequence[Camera] | None = None) -> float | None:
-    """Mean angle, degrees, between a surface's normals and the mean normal within 3 % of its radius, by area.
-
-    Over what at least one of the cameras sees, mesh and cameras in the same frame; over all of it without cameras. None
-    where there is no surface, or none is seen. True relief is rough, too.
-    """
-    if not mesh.areas.sum() > 0:
-        return None
-    uneven = unevenness(mesh)
-    if cameras is None:
-        return uneven.mean(np.ones(len(uneven.points), bool))
-    seen, slack = np.zeros(len(uneven.points), bool), visibility_slack(mesh.vertices)
-    for camera in cameras:
-        depth = draw_mesh(mesh.vertices, mesh.faces, camera).depth
-        seen |= cosines(uneven.points, uneven.normals, camera, depth, slack) > FACING
-    return uneven.mean(seen)
 
 
 def unevenness(mesh: Mesh) -> Unevenness:

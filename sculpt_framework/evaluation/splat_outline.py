@@ -79,16 +79,16 @@ def fine_alpha(
     return rendering.alpha.double().cpu().numpy()
 
 
-def contour_points(alpha: Float64[np.ndarray, "h w"], level: float = LEVEL) -> Float64[np.ndarray, "n 2"]:
-    """Points (column, row) where alpha crosses ``level`` along rows and columns, linear between pixel centres."""
+def contour_points(alpha: Float64[np.ndarray, "h w"]) -> Float64[np.ndarray, "n 2"]:
+    """Points (column, row) where alpha crosses ``LEVEL`` along rows and columns, linear between pixel centres."""
     points = []
     for axis in (1, 0):
         before = alpha[:, :-1] if axis == 1 else alpha[:-1]
         after = alpha[:, 1:] if axis == 1 else alpha[1:]
-        rows, columns = np.nonzero((before < level) != (after < level))
+        rows, columns = np.nonzero((before < LEVEL) != (after < LEVEL))
         low, high = before[rows, columns], after[rows, columns]
         place = np.stack([columns, rows], axis=1) + 0.5
-        place[:, 1 - axis] += (level - low) / (high - low)
+        place[:, 1 - axis] += (LEVEL - low) / (high - low)
         points.append(place)
     return np.concatenate(points)
 

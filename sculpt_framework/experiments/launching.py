@@ -1,12 +1,16 @@
 """Where the process of a run is started: on this machine here; sculpt_framework.batch has schedulers of clusters."""
 
 import os
+import signal
 import subprocess
 import sys
+import threading
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import FrameType
 from typing import IO
 
 from sculpt_framework.child_processes import INTERRUPT, OWN_GROUP, ending_with_parent
@@ -129,6 +133,24 @@ def start_process(command: Sequence[str], log: Path, environment: Mapping[str, s
             )
     except OSError as error:
         raise OutputError(f"cannot start a run with its log at {log}: {error.strerror}.") from error
+
+
+@contextmanager
+def as_interrupt(numbers: Sequence[signal.Signals]) -> Iterator[None]:
+    """These signals end what is inside as Ctrl-C does: runs are stopped, and save."""
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread():
+        yield  # Signals are for whoever runs us to decide about.
+        return
+    previous = [(number, signal.signal(number, handle)) for number in numbers]
+    try:
+        yield
+    finally:
+        for number, handler in previous:
+            signal.signal(number, handler)
 
 
 def open_log(path: Path) -> IO[bytes]:

@@ -4,19 +4,16 @@ import json
 import shutil
 import signal
 import sys
-import threading
 import time
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import FrameType
 
 from sculpt_framework.comparison.labels import ASIDE
 from sculpt_framework.errors import CheckpointError, JobRefusedError, OutputError
-from sculpt_framework.experiments.launching import Engine, Job, LocalEngine, Order
+from sculpt_framework.experiments.launching import Engine, Job, LocalEngine, Order, as_interrupt
 from sculpt_framework.experiments.ledger import CellState, Ledger
 from sculpt_framework.experiments.matrix import Cell, Matrix, remember
 from sculpt_framework.folder_lock import only_one
@@ -97,7 +94,7 @@ def run_matrix(
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OutputError(f"cannot write to {folder}: {error.strerror}; give another --out.") from error
-    with only_one(folder, "give another --out"), _terminate_as_interrupt():
+    with only_one(folder, "give another --out"), as_interrupt(_ends()):
         remember(matrix, folder)
         ledger = Ledger(folder)
         settled = {cell.name: state for cell in matrix.cells if (state := _settled(folder, cell, ledger, retry_failed))}
@@ -328,24 +325,7 @@ def _signal_name(number: int) -> str:
         return f"signal {number}"
 
 
-@contextmanager
-def _terminate_as_interrupt() -> Iterator[None]:
-    """SIGTERM, and SIGHUP of a terminal that is closed, end as Ctrl-C does: the runs stopped and the ledger true.
-
-    What was ignored before (nohup) stays so.
-    """
-
-    def handle(number: int, frame: FrameType | None) -> None:
-        raise KeyboardInterrupt
-
-    if threading.current_thread() is not threading.main_thread():
-        yield  # Signals are for whoever runs us to decide about.
-        return
+def _ends() -> list[signal.Signals]:
+    """SIGTERM, and SIGHUP of a terminal that is closed. What was ignored before (nohup) stays so."""
     ends = (signal.SIGTERM, signal.SIGBREAK) if sys.platform == "win32" else (signal.SIGTERM, signal.SIGHUP)
-    numbers = [n for n in ends if signal.getsignal(n) is not signal.SIG_IGN]
-    previous = [(number, signal.signal(number, handle)) for number in numbers]
-    try:
-        yield
-    finally:
-        for number, handler in previous:
-            signal.signal(number, handler)
+    return [number for number in ends if signal.getsignal(number) is not signal.SIG_IGN]

@@ -1,7 +1,7 @@
 """Pictures of a mesh: as it turns, and its depths and normals from given cameras."""
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import cv2
@@ -58,16 +58,15 @@ def paint(
     faces: Int64[np.ndarray, "f 3"],
     colors: Float[np.ndarray, "v 3"] | TexturedMesh,
     camera: Camera,
-    background: float = 1.0,
 ) -> Float[np.ndarray, "h w 3"]:
-    """The mesh from a camera, in vertex colours or its texture as they are, sRGB, antialiased."""
+    """The mesh from a camera, in vertex colours or its texture as they are, sRGB, antialiased, on white."""
     fine = camera.resized(camera.width * _SAMPLES, camera.height * _SAMPLES)
     pixels = draw_mesh(vertices, faces, fine)
     if isinstance(colors, TexturedMesh):
         rgb = _textured(pixels, colors)
     else:
         rgb = pixels.interpolate(faces, colors.astype(np.float32))
-    rgb = np.where((pixels.face >= 0)[..., None], rgb, np.float32(background))
+    rgb = np.where((pixels.face >= 0)[..., None], rgb, np.float32(1))
     return np.asarray(cv2.resize(rgb, (camera.width, camera.height), interpolation=cv2.INTER_AREA))
 
 
@@ -135,7 +134,6 @@ def write_maps(
     vertices: Float64[np.ndarray, "v 3"],
     faces: Int64[np.ndarray, "f 3"],
     views: Sequence[View],
-    progress: Callable[[int], None] = lambda done: None,
 ) -> int:
     """Depth and normals of the mesh from the cameras of views, into ``depth`` and ``normal`` of a folder.
 
@@ -147,7 +145,7 @@ def write_maps(
     names = [view.name.replace("/", "_") for view in views]
     if len(set(names)) < len(views):
         names = [view.name for view in views]
-    for index, view in enumerate(views):
+    for name, view in zip(names, views, strict=True):
         pixels = draw_mesh(vertices, faces, view.camera)
         seen = pixels.face >= 0
         depth = np.where(seen, pixels.depth, 0).astype(np.float32)
@@ -155,9 +153,8 @@ def write_maps(
         length = np.linalg.norm(normal, axis=2, keepdims=True)
         code = np.rint((normal / np.maximum(length, 1e-12) + 1) * 32767.5).astype(np.uint16)
         code[~seen] = 0
-        _write_image(folder / "depth" / f"{names[index]}.tiff", depth)
-        _write_image(folder / "normal" / f"{names[index]}.png", np.ascontiguousarray(code[:, :, ::-1]))
-        progress(index + 1)
+        _write_image(folder / "depth" / f"{name}.tiff", depth)
+        _write_image(folder / "normal" / f"{name}.png", np.ascontiguousarray(code[:, :, ::-1]))
     return len(views)
 
 

@@ -19,9 +19,9 @@ _TYPE_OF_NAME = {name: type_ for type_, name in _NAME_OF_TYPE.items()} | {
 }
 
 
-def encode_ply(elements: Sequence[tuple[str, np.ndarray]], comments: Sequence[str] = ()) -> bytes:
+def encode_ply(elements: Sequence[tuple[str, np.ndarray]]) -> bytes:
     """A PLY file of named elements, each a structured array with one row per item."""
-    lines = ["ply", "format binary_little_endian 1.0", *(f"comment {text}" for text in comments)]
+    lines = ["ply", "format binary_little_endian 1.0"]
     for name, rows in elements:
         lines.append(f"element {name} {len(rows)}")
         if rows.dtype == TRIANGLE:

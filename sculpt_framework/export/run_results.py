@@ -15,9 +15,8 @@ from sculpt_framework.errors import CheckpointError, DataError
 from sculpt_framework.evaluation.mesh import Mesh
 from sculpt_framework.export.drawn_mesh import GREY
 from sculpt_framework.export.mesh_files import Colors, Faces, Vertices, read_colored_mesh
+from sculpt_framework.frame import FRAME_NAME
 from sculpt_framework.types import Scene
-
-FRAME_NAME = "frame.json"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -108,6 +108,10 @@ class FreeGaussiansConfig(MethodConfig, ABC):
         is of the time after the last."""
         return ()
 
+    def bands(self, steps: int) -> int:
+        """How many of the spherical harmonics Gaussians are drawn with after so many steps."""
+        return (min(self.sh_degree, steps // self.sh_every) + 1) ** 2
+
     def pick_device(self) -> "torch.device":
         """Raises DeviceError for one that is not there."""
         from sculpt_framework.device import pick_device

@@ -78,6 +78,12 @@ class Splatting(Drawing):
         return {"color": l1_dssim(rendering.rgb, lesson.target.rgb, self._dssim)}
 
 
+def facing(normals: Float[Tensor, "g 3"], means: Float[Tensor, "g 3"], camera: Camera) -> Float[Tensor, "g 3"]:
+    """Normals, turned round where they point away from the camera. The side is not differentiated."""
+    away = ((means - camera.position.to(normals)) * normals).sum(dim=1, keepdim=True).detach() > 0
+    return torch.where(away, -normals, normals)
+
+
 @torch.no_grad()
 def on_white(drawing: Drawing, gaussians: Gaussians, camera: Camera) -> Rendering:
     return drawing.draw(gaussians, camera, torch.ones(3, device=gaussians.means.device))

@@ -3,13 +3,13 @@
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
-import numpy as np
 import torch
 
 from sculpt_framework.config import ExtractorConfig
 from sculpt_framework.free_gaussians.drawing import Drawing, on_white
 from sculpt_framework.geometry.grid import Grid
 from sculpt_framework.shape_from_images.tsdf import fuse_renderings, surface_of
+from sculpt_framework.spread import spread
 from sculpt_framework.types import Camera, Gaussians, Surface
 
 MOST_VIEWS = 40
@@ -35,12 +35,6 @@ class FusedDepths(Mesher):
         self._grid, self._extractor, self._device = grid, extractor, device
 
     def surface(self, drawing: Drawing, gaussians: Gaussians, cameras: Sequence[Camera]) -> Surface:
-        seen = ((camera, on_white(drawing, gaussians, camera)) for camera in spread(cameras))
+        seen = ((camera, on_white(drawing, gaussians, camera)) for camera in spread(cameras, MOST_VIEWS))
         level, seeds = surface_of(fuse_renderings(seen, self._grid), self._grid, self._device)
         return self._extractor.build(self._grid, self._device).extract(level, seeds).surface
-
-
-def spread(cameras: Sequence[Camera]) -> list[Camera]:
-    """At most ``MOST_VIEWS`` of them, evenly over all."""
-    chosen = np.unique(np.linspace(0, len(cameras) - 1, MOST_VIEWS).round().astype(int))
-    return [cameras[index] for index in chosen]

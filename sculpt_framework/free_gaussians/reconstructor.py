@@ -104,7 +104,7 @@ class FreeGaussiansReconstructor(Reconstructor):
 
     @property
     def _bands(self) -> int:
-        return (min(self._config.sh_degree, self._taken // self._config.sh_every) + 1) ** 2
+        return self._config.bands(self._taken)
 
     def _next_image(self) -> TrainingImage:
         if not self._images:

@@ -66,7 +66,7 @@ FACE_EDGES = tuple(tuple(edge for edge in range(12) if face in _FACES_AT_EDGE[ed
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Octree:
-    """A balanced tree. Make one by ``balanced``, ``tree_around``, ``split`` or ``merge``."""
+    """A balanced tree. Make one by ``balanced``, ``tree_around`` or ``split``."""
 
     grid: Grid
     """The roots."""
@@ -138,14 +138,6 @@ def tree_around(grid: Grid, cells: Int64[Tensor, " c"]) -> Octree:
 def split(tree: Octree, cells: Int64[Tensor, " c"]) -> Octree:
     """The tree with these cells split as well, and whatever must be split with them to keep it balanced."""
     return balanced(tree.grid, torch.cat([tree.split_cells, cells]))
-
-
-def merge(tree: Octree, cells: Int64[Tensor, " c"]) -> Octree:
-    """The tree with these split cells made leaves again, but for those with split children or finer neighbours."""
-    ordered = cells.unique()
-    with_split_children = parents(tree.split_cells).unique()
-    going = find(ordered, tree.split_cells)[1] & ~find(with_split_children, tree.split_cells)[1]
-    return balanced(tree.grid, tree.split_cells[~going])
 
 
 def _parents_around(grid: Grid, cells: Int64[Tensor, " c"]) -> Int64[Tensor, " p"]:

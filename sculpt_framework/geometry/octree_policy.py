@@ -2,8 +2,8 @@
 
 Pure functions. The surface is wanted at one level, coarser where no view would show so small cells, and finer in boxes;
 everything else is as coarse as balance allows.
-Before an extraction these say where surface may be (``refine``) and which of the cells it was in are finer than wanted
-(``coarsen``); the extraction makes the tree anew from those whose corners differ in sign (``octree_band.grow_octree``).
+Before an extraction these say which of the cells the surface was in are finer than wanted (``coarsen``); the extraction
+makes the tree anew from those whose corners differ in sign (``octree_band.grow_octree``).
 Cells that the surface has left are merged by not being named, and what is split depends on the surface and the boxes,
 not on how they came about.
 """
@@ -15,10 +15,9 @@ import torch
 from jaxtyping import Bool, Float64, Int64
 from torch import Tensor
 
-from sculpt_framework.geometry.band import children, levels_of, parents
+from sculpt_framework.geometry.band import levels_of, parents
 from sculpt_framework.geometry.grid import Grid, unpack_ijk
 from sculpt_framework.geometry.octree import WantedLevels, vertex_level
-from sculpt_framework.geometry.signed_distance import SdfFunction
 from sculpt_framework.types import Box, Camera
 
 
@@ -110,46 +109,6 @@ def reached_along(grid: Grid, box: Box) -> list[Bool[Tensor, " _"]]:
 
 
 @torch.no_grad()
-def may_hold_surface(
-    sdf: SdfFunction,
-    grid: Grid,
-    cells: Int64[Tensor, " n"],
-    lipschitz: float = 1.0,
-    margin: float = 0.0,
-    points_per_call: int = 1 << 18,
-) -> Bool[Tensor, " n"]:
-    """Whether |sdf| at the centre of each cell, of any level, is within ``lipschitz`` * half its diagonal + ``margin``.
-
-    Where the sdf changes by no more than ``lipschitz`` per unit of length, a cell that fails has no surface.
-    """
-    low, high = extent(grid, cells)
-    reach = lipschitz * 0.5 * torch.linalg.vector_norm(high - low, dim=1) + margin
-    centers = (0.5 * (low + high)).to(torch.get_default_dtype())
-    near = [sdf(part).abs() for part in centers.split(points_per_call)]
-    return torch.cat(near) <= reach if near else torch.zeros_like(cells, dtype=torch.bool)
-
-
-def refine(
-    sdf: SdfFunction,
-    grid: Grid,
-    cells: Int64[Tensor, " n"],
-    wanted: WantedLevels,
-    lipschitz: float = 1.0,
-    margin: float = 0.0,
-) -> Int64[Tensor, " m"]:
-    """Keys, ascending, of what the cells become when those that may hold surface are split to the wanted levels.
-
-    Children that cannot hold surface (``may_hold_surface``) are left out; cells that are fine enough stay.
-    """
-    done = []
-    while cells.shape[0] > 0:
-        coarse = levels_of(cells) < wanted(cells)
-        done.append(cells[~coarse])
-        cells = children(cells[coarse])
-        cells = cells[may_hold_surface(sdf, grid, cells, lipschitz, margin)]
-    return torch.cat(done).unique() if done else cells
-
-
 def coarsen(grid: Grid, cells: Int64[Tensor, " n"], wanted: WantedLevels) -> Int64[Tensor, " m"]:
     """Keys, ascending, of the largest cells round the given ones that are fine enough; these stay if they are not."""
     while True:

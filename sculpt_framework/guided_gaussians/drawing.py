@@ -4,7 +4,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sculpt_framework.free_gaussians.drawing import Drawing, Lesson, Terms
+from sculpt_framework.free_gaussians.drawing import Drawing, Lesson, Terms, facing
 from sculpt_framework.rasterizers import Rasterizer
 from sculpt_framework.rendering.photometric import l1_dssim
 from sculpt_framework.rendering.spherical_harmonics import sh_to_rgb
@@ -37,9 +37,3 @@ class FacingSplatting(Drawing):
 
     def color_terms(self, rendering: Rendering, lesson: Lesson) -> Terms:
         return {"color": l1_dssim(rendering.rgb, lesson.target.rgb, self._dssim)}
-
-
-def facing(normals: Float[Tensor, "g 3"], means: Float[Tensor, "g 3"], camera: Camera) -> Float[Tensor, "g 3"]:
-    """Normals, turned round where they point away from the camera. The side is not differentiated."""
-    away = ((means - camera.position.to(normals)) * normals).sum(dim=1, keepdim=True).detach() > 0
-    return torch.where(away, -normals, normals)

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from sculpt_framework.markers.detection import Sighting
+from sculpt_framework.spread import spread
 
 Points = Float64[np.ndarray, "n 3"]
 _VIEWS = 40
@@ -91,8 +92,7 @@ def calibrate(
             f"{len(good)} photographs show {_CORNERS} points of the board or more that are not all on one line, "
             f"{_LEAST} are needed"
         )
-    chosen = np.unique(np.linspace(0, len(good) - 1, min(_VIEWS, len(good))).round().astype(int))
-    views = [good[index] for index in chosen]
+    views = spread(good, _VIEWS)
     side = float(max(width, height))
     starts = [_matrix(start, width, height) for start in ([guess] if guess else [1.2 * side, 0.7 * side, 3.0 * side])]
     size = (width, height)

@@ -29,8 +29,6 @@ class PosedPhotograph:
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PosedByBoard:
     posed: list[PosedPhotograph]
-    left_out: Mapping[str, str]
-    """Names of photographs, and why they have no pose."""
     lines: list[str] = field(default_factory=list)
 
 
@@ -71,7 +69,7 @@ def pose_by_board(
             f"needed ({why}). Show more of the board, from 30 to 60 degrees above it, or give --focal PIXELS."
         )
     posed.sort(key=lambda item: item.photograph.name)
-    return PosedByBoard(posed=posed, left_out=left_out, lines=[*lines, *_in_words(posed, left_out, len(photographs))])
+    return PosedByBoard(posed=posed, lines=[*lines, *_in_words(posed, left_out, len(photographs))])
 
 
 def _lens(

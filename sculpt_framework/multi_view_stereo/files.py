@@ -14,6 +14,7 @@ from sculpt_framework.export.atomic import make_folder, write_atomically
 from sculpt_framework.multi_view_stereo.depth_maps import DepthMaps, StereoOptions, find_depths
 from sculpt_framework.shape_from_images.hull import visual_hull
 from sculpt_framework.shape_from_images.volume import sample, whole_box
+from sculpt_framework.spread import spread
 from sculpt_framework.types import Scene, View
 
 Picture = UInt8[np.ndarray, "h w 3"]
@@ -59,9 +60,7 @@ def scene_depths(
     posed = [replace(view, camera=scene.box.camera_to_object(view.camera)) for view in chosen]
     x, y, z = (float(side) for side in scene.box.half_sides)
     cpu = torch.device("cpu")
-    solid = (
-        sample(visual_hull(posed, len(posed), cpu), (x, y, z), cells, cpu) if masked else whole_box((x, y, z), cells)
-    )
+    solid = sample(visual_hull(posed, len(posed)), (x, y, z), cells, cpu) if masked else whole_box((x, y, z), cells)
     maps = find_depths(posed, solid, options, tell)
     if maps.known == 0.0:
         raise DataError(
@@ -110,8 +109,7 @@ def write_depths(found: ViewDepths, folder: Path) -> Path:
 
 def depth_sheet(found: list[ViewDepths]) -> Picture:
     """Up to 60 views, spread evenly: what was compared, its depth (near red, far blue), its confidence (white is 1)."""
-    chosen = np.unique(np.linspace(0, len(found) - 1, min(_MOST, len(found))).round().astype(int))
-    strips = [_strip(found[index]) for index in chosen]
+    strips = [_strip(each) for each in spread(found, _MOST)]
     blank = np.full_like(strips[0], _PAPER)
     strips += [blank] * (-len(strips) % _ACROSS)
     return np.vstack([np.hstack(strips[start : start + _ACROSS]) for start in range(0, len(strips), _ACROSS)])

@@ -1,12 +1,10 @@
 """What the plan decided, why, and the file that keeps it. Free of torch."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from sculpt_framework.errors import ConfigError
 from sculpt_framework.export.atomic import write_atomically
 from sculpt_framework.export.json_text import json_text
 
@@ -65,25 +63,3 @@ class ScenePlan:
 def write_plan(plan: ScenePlan, folder: Path) -> None:
     """Write FOLDER/plan.json. Raises OutputError."""
     write_atomically(folder / PLAN_NAME, (json_text(plan.values(), indent=2) + "\n").encode("utf-8"))
-
-
-def read_plan(folder: Path) -> ScenePlan | None:
-    """The plan a run directory keeps, None if it keeps none. Raises ConfigError where the file is broken."""
-    path = folder / PLAN_NAME
-    if not path.is_file():
-        return None
-    try:
-        values = json.loads(path.read_text(encoding="utf-8"))
-        if values["version"] != VERSION:
-            raise ConfigError(f"{path} is of version {values['version']}; this program reads version {VERSION}.")
-        return ScenePlan(
-            decisions=[_decision(row) for row in values["decisions"]],
-            kept=[_decision(row) for row in values["kept"]],
-            seconds=float(values["seconds"]),
-        )
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise ConfigError(f"{path} is not the plan of a run ({error}); start a new run.") from error
-
-
-def _decision(row: Mapping[str, Any]) -> Decision:
-    return Decision(**{name: value for name, value in row.items() if name != "override"})

@@ -19,6 +19,7 @@ from torch.nn import functional
 from sculpt_framework.geometry.signed_distance import SdfFunction
 from sculpt_framework.shape_from_images.hull import visual_hull
 from sculpt_framework.shape_from_images.volume import Volume, sample
+from sculpt_framework.spread import spread
 from sculpt_framework.threads import in_threads
 from sculpt_framework.types import Box, Camera, View
 
@@ -66,7 +67,7 @@ def gloss(views: Sequence[View], box: Box) -> Gloss | None:
     posed = [replace(view, camera=box.camera_to_object(view.camera)) for view in masked]
     small = in_threads(partial(_reduced, pixels=_HULL_PIXELS), spread(posed, _HULL_VIEWS))
     pictures = in_threads(partial(_reduced, pixels=_PIXELS), spread(posed, _COLOR_VIEWS))
-    hull = sample(visual_hull(small, _HULL_VIEWS, _CPU), (1.0, 1.0, 1.0), _CELLS, _CPU)
+    hull = sample(visual_hull(small, _HULL_VIEWS), (1.0, 1.0, 1.0), _CELLS, _CPU)
     points, normals = _surface_points(hull)
     seen, colors = [], []
     for picture in pictures:
@@ -98,13 +99,6 @@ def brightening(seen: Bool[Tensor, "n v"], colors: Float[Tensor, "n v 3"]) -> Gl
         points=len(seen),
         unevenness=float(away.quantile(_ON_SURFACE)) / max(brightness, 1e-3),
     )
-
-
-def spread(views: Sequence[View], count: int) -> list[View]:
-    """At most ``count`` of the views, evenly over the list."""
-    if len(views) <= count:
-        return list(views)
-    return [views[index] for index in np.linspace(0, len(views) - 1, count).round().astype(int)]
 
 
 def _reduced(view: View, pixels: int) -> View:

@@ -8,7 +8,7 @@ import numpy as np
 
 from sculpt_framework.errors import DataError
 from sculpt_framework.geometry.angles import angles_between
-from sculpt_framework.plan.directions import Gloss, gloss, spread
+from sculpt_framework.plan.directions import Gloss, gloss
 from sculpt_framework.plan.pictures import (
     WIDTHS,
     blind_views,
@@ -18,6 +18,7 @@ from sculpt_framework.plan.pictures import (
     speaking,
     thinnest,
 )
+from sculpt_framework.spread import spread
 from sculpt_framework.types import Box, Scene, View
 
 _LOOKED_AT = 24
@@ -42,10 +43,8 @@ class Evidence:
     """Pairs of a view and the one it repeats."""
     view_megabytes: float = 0.0
     """Memory of one view's pixels, loaded and cropped for training, at the most."""
-    pixel: float
-    """Width of a pixel at the middle of the object, median over the views."""
     pixel_best: float
-    """The same of the views that show most: only a twentieth of them has smaller ones."""
+    """Width of a pixel at the middle of the object, of the views that show most: only a twentieth has smaller ones."""
     pixel_worst: float
     """The same of those that show least."""
     contrast: tuple[float, ...]
@@ -84,7 +83,6 @@ def gather(scene: Scene) -> Evidence:
         blind=blind,
         repeated=repeated_views(seeing, box),
         view_megabytes=float(np.median([view.rgb.shape[0] * view.rgb.shape[1] * 32 / 2**20 for view in views])),
-        pixel=float(np.median(widths)),
         pixel_best=float(np.quantile(widths, 0.05)),
         pixel_worst=float(np.quantile(widths, 0.95)),
         # Not the median: a side that few views see must not be taken for as plain as the others.

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 
 from sculpt_framework.posed_images.projected_box import box_edges
+from sculpt_framework.spread import spread
 from sculpt_framework.types import Box, Scene, View
 
 Picture = UInt8[np.ndarray, "h w 3"]
@@ -26,8 +27,7 @@ def contact_sheet(scene: Scene) -> Picture:
     What is outside a mask is faded, the outline drawn; views without a mask are shown as they are. The box's edges are
     drawn into all of them.
     """
-    chosen = np.unique(np.linspace(0, len(scene.train) - 1, min(_MOST, len(scene.train))).round().astype(int))
-    thumbs = [thumbnail(scene.train[index], scene.box) for index in chosen]
+    thumbs = [thumbnail(view, scene.box) for view in spread(scene.train, _MOST)]
     plans = np.hstack([_plan(scene, (0, 1), "x to the right, y up"), _plan(scene, (0, 2), "x to the right, z up")])
     width = _COLUMNS * _THUMB
     rows = [plans]

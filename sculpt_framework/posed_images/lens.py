@@ -14,7 +14,8 @@ from sculpt_framework.types import Camera
 
 LENS_KEYS = ("camera_angle_x", "camera_angle_y", "fl_x", "fl_y", "cx", "cy", "w", "h")
 DISTORTION_KEYS = ("k1", "k2", "k3", "k4", "p1", "p2")
-_ASPECT_TOLERANCE = 0.01
+ASPECT_TOLERANCE = 0.01
+"""Aspect ratios of one image in two sizes differ by less, relative: sizes are whole pixels."""
 FOCAL = (1e-3, 1e9)
 """Pixels; beyond, no camera is meant, and places of pixels overflow."""
 
@@ -63,7 +64,7 @@ class Lens:
         point out of all proportion.
         """
         sx, sy = width / (self.width or width), height / (self.height or height)
-        if abs(sx / sy - 1) > _ASPECT_TOLERANCE:
+        if abs(sx / sy - 1) > ASPECT_TOLERANCE:
             raise DataError(
                 f"{image}: the image is {width}x{height} but w x h in the transforms is "
                 f"{self.width:g}x{self.height:g}; expected the same size or the same shape."

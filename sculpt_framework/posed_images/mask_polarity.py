@@ -11,6 +11,7 @@ from sculpt_framework.posed_images.carving import looked_at, outline_of
 from sculpt_framework.posed_images.masks import mask_coverage
 from sculpt_framework.posed_images.options import InvertMasksOption
 from sculpt_framework.posed_images.views import PosedImage
+from sculpt_framework.spread import spread
 from sculpt_framework.types import View
 
 _LOOKED_THROUGH = 16
@@ -40,9 +41,8 @@ def white_on_object(
 
 
 def _look_inverted(items: Sequence[PosedImage]) -> bool:
-    chosen = np.unique(np.linspace(0, len(items) - 1, min(_LOOKED_THROUGH, len(items))).round().astype(int))
     views = []
-    for item in (items[index] for index in chosen):
+    for item in spread(items, _LOOKED_THROUGH):
         try:
             mask = mask_coverage(item.mask) if item.mask is not None else np.zeros((0, 0), np.float32)
             camera = item.camera(mask.shape[1], mask.shape[0])

@@ -12,10 +12,10 @@ from jaxtyping import Float32
 from sculpt_framework.errors import DataError
 from sculpt_framework.posed_images.decoding import read_image
 from sculpt_framework.posed_images.image_files import folded, is_image_name
+from sculpt_framework.posed_images.lens import ASPECT_TOLERANCE
 from sculpt_framework.posed_images.reading import in_short
 
 MASK_FOLDERS = ("masks", "mask", "object_mask")
-_ASPECT_TOLERANCE = 0.01
 _MARK = re.compile(r"[._-]masks?$")
 """Behind the name of the image that a mask is of."""
 _OF_SYSTEMS = ("thumbs.db", "desktop.ini")
@@ -142,7 +142,7 @@ def read_mask(path: Path, full_size: tuple[int, int], width: int, height: int) -
     """
     coverage = mask_coverage(path)
     rows, columns = coverage.shape
-    if abs(columns / rows * full_size[1] / full_size[0] - 1) > _ASPECT_TOLERANCE:
+    if abs(columns / rows * full_size[1] / full_size[0] - 1) > ASPECT_TOLERANCE:
         raise DataError(
             f"{path}: the mask is {columns}x{rows}, its image {full_size[0]}x{full_size[1]}; expected the same shape."
         )

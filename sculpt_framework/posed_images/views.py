@@ -17,7 +17,7 @@ from sculpt_framework.posed_images.decoding import DecodedImage, read_image
 from sculpt_framework.posed_images.distortion import Distortion, rectify, resample
 from sculpt_framework.posed_images.headers import ImageHeader, read_headers
 from sculpt_framework.posed_images.keying import Background, common_background, given_background, key_out
-from sculpt_framework.posed_images.lens import Pinhole
+from sculpt_framework.posed_images.lens import ASPECT_TOLERANCE, Pinhole
 from sculpt_framework.posed_images.masks import read_mask
 from sculpt_framework.threads import in_threads
 from sculpt_framework.types import Camera, View
@@ -28,7 +28,6 @@ _BYTES_PER_PIXEL = 16
 """Four channels of four bytes."""
 IMAGE_BYTES = 2 * 2**30
 """What the images of a scene may take in memory together when the size is chosen here; training needs as much again."""
-_ASPECT_TOLERANCE = 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,10 +122,10 @@ def _orientation(item: PosedImage, header: ImageHeader | None) -> int:
     if header is None or header.orientation == 1 or item.size is None:
         return 1
     shape = item.size[0] / item.size[1]
-    if abs(header.width / header.height / shape - 1) <= _ASPECT_TOLERANCE:
+    if abs(header.width / header.height / shape - 1) <= ASPECT_TOLERANCE:
         return 1
     width, height = header.upright_size
-    return header.orientation if abs(width / height / shape - 1) <= _ASPECT_TOLERANCE else 1
+    return header.orientation if abs(width / height / shape - 1) <= ASPECT_TOLERANCE else 1
 
 
 def _read_all(

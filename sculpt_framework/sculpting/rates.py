@@ -4,7 +4,7 @@ import math
 
 from scipy.special import lambertw
 
-from sculpt_framework.sculpting.config import StageConfig, TrainerConfig
+from sculpt_framework.sculpting.config import TrainerConfig
 
 _WARM = 0.25
 """Of the time given: before the surface first moves, colours learn for no more of it."""
@@ -20,7 +20,6 @@ class Rates:
             raise ValueError("a schedule needs stages with positive shares")
         total = sum(shares)
         self._ends = [sum(shares[: index + 1]) / total for index in range(len(shares))]
-        self._stages = config.stages
         self._final_rate = config.final_rate
         self._full_steps = config.surface_steps
         self._timed = timed
@@ -30,9 +29,6 @@ class Rates:
             if progress < end - 1e-9:
                 return index
         return len(self._ends) - 1
-
-    def stage(self, progress: float) -> StageConfig:
-        return self._stages[self.stage_index(progress)]
 
     def warm(self, progress: float) -> bool:
         """Whether colours have had the time there is for them before the first outer step."""

@@ -42,7 +42,7 @@ def in_world(surface: Surface, gaussians: Gaussians, box: Box) -> Reconstruction
     renamed = torch.full((len(kept),), -1, dtype=torch.int64)
     renamed[torch.from_numpy(kept)] = torch.arange(int(kept.sum()))
     face = renamed[gaussians.face.cpu()]
-    gaussians = _select(_on_cpu(gaussians), face >= 0, face)
+    gaussians = _select(gaussians.to(torch.device("cpu")), face >= 0, face)
     colors = _vertex_colors(mesh, gaussians)
     gaussians = principal_axes(gaussians)
     gaussians = replace(
@@ -64,17 +64,6 @@ def _vertex_colors(mesh: Mesh, gaussians: Gaussians) -> Float[np.ndarray, "v 3"]
             sums[:, channel] += np.bincount(vertex, area * rgb[:, channel], minlength=len(sums))
         sums[:, 3] += np.bincount(vertex, area, minlength=len(sums))
     return (sums[:, :3] / np.maximum(sums[:, 3:], 1e-300)).astype(np.float32)
-
-
-def _on_cpu(gaussians: Gaussians) -> Gaussians:
-    return Gaussians(
-        means=gaussians.means.cpu(),
-        scales=gaussians.scales.cpu(),
-        rotations=gaussians.rotations.cpu(),
-        opacities=gaussians.opacities.cpu(),
-        sh=gaussians.sh.cpu(),
-        face=gaussians.face.cpu(),
-    )
 
 
 def _select(gaussians: Gaussians, chosen: torch.Tensor, face: torch.Tensor) -> Gaussians:

@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float32
 from sculpt_framework.cpu_kernels import kernel_cache, share_threads
 from sculpt_framework.shape_from_images.packing import PackedViews
 from sculpt_framework.shape_from_images.volume import Volume
+from sculpt_framework.spread import spread
 
 with kernel_cache("sweep", Path(__file__).with_name("sweep_kernels.py")):
     from sculpt_framework.shape_from_images.sweep_kernels import refine, sweep, witness
@@ -62,7 +63,7 @@ def find_depths(views: PackedViews, solid: Volume, options: SweepOptions) -> Dep
     inside: Bool[np.ndarray, "x y z"] = solid.values < 0
     origin = np.array(solid.origin, np.float32)
     steps = []
-    swept = set(np.linspace(0, len(views) - 1, min(options.views, len(views))).round().astype(int).tolist())
+    swept = set(spread(range(len(views)), options.views))
     for i, others in enumerate(views.neighbours(options.neighbours, _ANGLE, _ANGLES)):
         middle, least = _depth_of_origin(views, i)
         near, far = max(middle - radius, least), middle + radius

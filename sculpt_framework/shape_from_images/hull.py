@@ -27,7 +27,7 @@ _COVERED = 0.5
 """Coverage from which a pixel belongs to the silhouette."""
 
 
-def visual_hull(views: Sequence[View], max_views: int, device: torch.device) -> SdfFunction:
+def visual_hull(views: Sequence[View], max_views: int) -> SdfFunction:
     """sdf(x) = max over views of (distance of x's image to the silhouette in pixels, negative inside) z / f.
 
     Exact at the hull's surface up to the masks' sampling, below the true distance outside. A mask that touches the

@@ -23,7 +23,7 @@ def within_hull(
 ) -> Iterator[SdfFunction]:
     """The visual hull, then the shape that ``find`` makes of masked views, at most so many, and of the hull as a volume
     of so many cells; nothing more where that is the hull. Raises DataError where no view has a mask."""
-    hull = visual_hull(views, max_views, device)
+    hull = visual_hull(views, max_views)
     yield hull
     x, y, z = (float(side) for side in half_sides)
     sampled = sample(hull, (x, y, z), cells, device)

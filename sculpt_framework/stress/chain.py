@@ -38,7 +38,6 @@ _SMALL_FIELDS: Mapping[str, Mapping[str, object]] = {
 class Walk:
     """What came out of one walk through the chain and back."""
 
-    loss: float
     gradients: Mapping[str, Float[Tensor, " n"]]
     """By "field", "extractor" and "rows", each its parameters laid end to end."""
     surface: Surface
@@ -138,7 +137,7 @@ def _walk(method: SculptingConfig, field: Field, grid: Grid, dtype: torch.dtype,
         name: torch.cat([next(slopes).reshape(-1) for _ in part] or [torch.zeros(0, dtype=dtype)])
         for name, part in leaves.items()
     }
-    return Walk(loss=float(total.detach()), gradients=gradients, surface=extraction.surface.detach())
+    return Walk(gradients=gradients, surface=extraction.surface.detach())
 
 
 def _target(dtype: torch.dtype) -> Target:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -82,9 +82,9 @@ def squashed(surface: Surface) -> Surface:
     return Surface(vertices=vertices, faces=surface.faces, face_keys=surface.face_keys)
 
 
-def _bind(binder: Binder, surface: Surface, *, learn: bool = True) -> tuple[Binding, dict[str, Tensor]]:
+def _bind(binder: Binder, surface: Surface) -> tuple[Binding, dict[str, Tensor]]:
     rows = binder.new_rows(len(surface.faces), surface.vertices.device, surface.vertices.dtype)
-    rows = {name: row.clone().requires_grad_(learn) for name, row in rows.items()}
+    rows = {name: row.clone().requires_grad_() for name, row in rows.items()}
     return binder.bind(surface, rows, blur=0.01), rows
 
 
@@ -214,9 +214,8 @@ def _render_on(rasterizer: Rasterizer, device: torch.device) -> Render:
     def render(
         gaussians: Gaussians, camera: Camera, background: Tensor, *, low_pass_px2: float, normals: bool = False
     ) -> Rendering:
-        moved = Gaussians(**{field.name: getattr(gaussians, field.name).to(device) for field in fields(gaussians)})
-        there = camera.to(device, torch.float32), background.to(device)
-        done = rasterizer.render(moved, *there, low_pass_px2=low_pass_px2, normals=normals)
+        there = gaussians.to(device), camera.to(device, torch.float32), background.to(device)
+        done = rasterizer.render(*there, low_pass_px2=low_pass_px2, normals=normals)
         normal = None if done.normal is None else done.normal.cpu()
         return Rendering(rgb=done.rgb.cpu(), alpha=done.alpha.cpu(), depth=done.depth.cpu(), normal=normal)
 

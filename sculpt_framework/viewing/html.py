@@ -53,7 +53,7 @@ def _play(frames: list[Frame]) -> str:
             recording.insert_sleep(_SECONDS_PER_STEP)
         recording.insert_sleep(_LAST_SECONDS)
         if last.gaussians is not None and shown is not None:
-            show_splats(scene, last.gaussians, _SPLATS_AT_MOST, visible=True)
+            show_splats(scene, last.gaussians, _SPLATS_AT_MOST)
             shown.visible = False
             recording.insert_sleep(_LAST_SECONDS)
         return recording.as_html()

@@ -22,25 +22,24 @@ _CELLS_AT_MOST = 40_000
 """More cells than this are thinned out: a page is to stay fluent."""
 
 
-def show_mesh(scene: viser.SceneApi, painted: Painted, *, name: str = "/mesh", visible: bool = True) -> viser.GlbHandle:
+def show_mesh(scene: viser.SceneApi, painted: Painted, *, name: str = "/mesh") -> viser.GlbHandle:
     # The browser takes vertex colours for linear light, as glTF has them.
     colors = (255 * srgb_to_linear(painted.colors.clip(0, 1)) + 0.5).astype(np.uint8)
     mesh = trimesh.Trimesh(vertices=painted.vertices, faces=painted.faces, vertex_colors=colors, process=False)
-    return scene.add_mesh_trimesh(name, mesh, visible=visible)
+    return scene.add_mesh_trimesh(name, mesh)
 
 
-def show_wireframe(scene: viser.SceneApi, frame: Frame, visible: bool) -> viser.MeshHandle:
+def show_wireframe(scene: viser.SceneApi, frame: Frame) -> viser.MeshHandle:
     return scene.add_mesh_simple(
         "/wireframe",
         frame.vertices,
         frame.faces.astype(np.uint32),
         color=(20, 20, 20),
         wireframe=True,
-        visible=visible,
     )
 
 
-def show_splats(scene: viser.SceneApi, gaussians: Gaussians, most: int, *, visible: bool) -> viser.GaussianSplatHandle:
+def show_splats(scene: viser.SceneApi, gaussians: Gaussians, most: int) -> viser.GaussianSplatHandle:
     """True splats in their colour along the normal; of more than ``most`` a part, each as much wider."""
     rgb = sh_to_rgb(gaussians.sh, -gaussians.rotations[:, :, 0], torch.zeros(3)).clamp(0, 1)
     scales, keep = gaussians.scales, torch.arange(len(gaussians))
@@ -55,20 +54,19 @@ def show_splats(scene: viser.SceneApi, gaussians: Gaussians, most: int, *, visib
         covariances=(factor @ factor.transpose(1, 2)).numpy(),
         rgbs=rgb[keep].numpy(),
         opacities=gaussians.opacities[keep][:, None].numpy(),
-        visible=visible,
     )
 
 
 def show_box(
-    scene: viser.SceneApi, name: str, low: Float[np.ndarray, " 3"], high: Float[np.ndarray, " 3"], visible: bool
+    scene: viser.SceneApi, name: str, low: Float[np.ndarray, " 3"], high: Float[np.ndarray, " 3"]
 ) -> viser.LineSegmentsHandle:
     lines = low + _cube_edges() * (high - low)
-    return scene.add_line_segments(name, lines, (90, 90, 90), thickness=1.5, thickness_units="screen", visible=visible)
+    return scene.add_line_segments(name, lines, (90, 90, 90), thickness=1.5, thickness_units="screen")
 
 
-def show_cells(scene: viser.SceneApi, cells: Cells, visible: bool) -> viser.FrameHandle:
+def show_cells(scene: viser.SceneApi, cells: Cells) -> viser.FrameHandle:
     """Cells as wire cubes, a colour for each level."""
-    root = scene.add_frame("/cells", show_axes=False, visible=visible)
+    root = scene.add_frame("/cells", show_axes=False)
     edges = _cube_edges().astype(np.float32)
     thin = max(1, -(-len(cells.level) // _CELLS_AT_MOST))
     for level in np.unique(cells.level).tolist():

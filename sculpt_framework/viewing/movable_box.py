@@ -34,7 +34,7 @@ class MovableBox:
             depth_test=False,
         )
         half = np.full(3, 0.5)
-        self._outline = show_box(scene, "/gizmo/box", -half, half, visible=True)
+        self._outline = show_box(scene, "/gizmo/box", -half, half)
         self._outline.colors = _COLOR
         self._outline.scale = (x, y, z)
         self._gizmo.on_update(lambda _: self._changed())

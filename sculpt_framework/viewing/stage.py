@@ -160,17 +160,17 @@ class Stage:
                 self._nodes["mesh"] = show_mesh(api, painted)
                 self._legend.content = painted.legend
             if on["wireframe"] and self._is_other("wireframe", frame):
-                self._nodes["wireframe"] = show_wireframe(api, frame, visible=True)
+                self._nodes["wireframe"] = show_wireframe(api, frame)
             if on["gaussians"] and self._is_other("gaussians", (frame, most)):
                 if frame.gaussians is None:
                     self._drop("gaussians")
                 else:
-                    self._nodes["gaussians"] = show_splats(api, frame.gaussians, most, visible=True)
+                    self._nodes["gaussians"] = show_splats(api, frame.gaussians, most)
             if on["cells"] and self._is_other("cells", frame):
                 if frame.cells is None:
                     self._drop("cells")
                 else:
-                    self._nodes["cells"] = show_cells(api, frame.cells, visible=True)
+                    self._nodes["cells"] = show_cells(api, frame.cells)
             self._draw_fixed(on)
             for name, node in self._nodes.items():
                 if node.visible != on[name]:
@@ -185,7 +185,7 @@ class Stage:
         box = self.box
         if on["box"] and box is not None and self._is_other("box", box.tolist()):
             low, high = box
-            self._nodes["box"] = show_box(api, "/box", low, high, visible=True)
+            self._nodes["box"] = show_box(api, "/box", low, high)
         if on["reference"] and self._reference is not None and self._is_other("reference", self._reference):
             mesh = self._reference.mesh
             self._nodes["reference"] = api.add_mesh_simple(

@@ -7,10 +7,10 @@ import pytest
 import torch
 from photographed_ball import RADIUS, ball, moved, photograph, ring, view_of_ball
 
-from sculpt_framework.evaluation.consistency import Consistency, PosedImages, consistency
+from sculpt_framework.evaluation.consistency import Consistency, PosedImages
 from sculpt_framework.evaluation.image_pairs import choose_pairs, normalise
 from sculpt_framework.evaluation.mesh import Mesh
-from sculpt_framework.evaluation.roughness import roughness
+from sculpt_framework.evaluation.roughness import unevenness
 from sculpt_framework.types import View
 
 ORIGIN = np.zeros(3)
@@ -67,7 +67,7 @@ def test_a_mesh_that_is_moved_away_is_off_by_its_share_across_the_surface(views:
     mesh = ball()
     way = sum(view.camera.position.numpy() for view in views)
     way = 0.02 * RADIUS * way / np.linalg.norm(way)
-    found = consistency(moved(mesh, mesh.vertices + way), views)
+    found = PosedImages(views, ORIGIN).measure(moved(mesh, mesh.vertices + way))
     assert 0.6 * 0.02 * RADIUS < known(found.residual_depth) < 0.02 * RADIUS
 
 
@@ -122,7 +122,7 @@ def test_a_part_that_is_missing_is_not_judged(images: PosedImages, true: Consist
 
 
 def test_no_texture_tells_nothing():
-    found = consistency(ball(), [view_of_ball(camera, plain=True) for camera in ring(3, 12, 120)])
+    found = PosedImages([view_of_ball(camera, plain=True) for camera in ring(3, 12, 120)], ORIGIN).measure(ball())
     assert found.judged == 0
     assert found.residual_px is found.residual_p90_px is found.residual_depth is None
     assert found.pairs == 3
@@ -132,7 +132,7 @@ def test_no_texture_tells_nothing():
 
 def test_one_view_tells_nothing_but_roughness(views: list[View]):
     for few in ([], views[:1], [views[0], views[0]]):
-        found = consistency(ball(), few)
+        found = PosedImages(few, ORIGIN).measure(ball())
         assert found.pairs == 0
         assert found.judged == 0
         assert found.residual_px is found.residual_p90_px is found.residual_depth is found.depth_error is None
@@ -141,7 +141,7 @@ def test_one_view_tells_nothing_but_roughness(views: list[View]):
 
 @pytest.mark.parametrize("side", [1, 5, 12, 17, 33])
 def test_tiny_images_are_no_trouble(side: int):
-    found = consistency(ball(2), [view_of_ball(camera) for camera in ring(2, 10, side)])
+    found = PosedImages([view_of_ball(camera) for camera in ring(2, 10, side)], ORIGIN).measure(ball(2))
     assert found.pairs == 2
     assert found.residual_px is None or np.isfinite(found.residual_px)
 
@@ -189,25 +189,26 @@ def bumpy(mesh: Mesh, height: float) -> Mesh:
 
 
 def test_a_ball_is_smooth_and_bumps_are_not():
-    smooth = known(roughness(ball(6)))
+    smooth = unevenness(ball(6)).degrees.mean()
     assert smooth < 1
-    assert known(roughness(bumpy(ball(6), 0.1))) > 4 * smooth
+    assert unevenness(bumpy(ball(6), 0.1)).degrees.mean() > 4 * smooth
 
 
 def test_roughness_is_of_what_cameras_see():
     mesh = bumpy(ball(6), 0.1)
-    below = [replace(view.camera) for view in (view_of_ball(camera) for camera in ring(2, 12, 200))]
+    below = ring(2, 12, 200)
     turn = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
     under = [replace(camera, world_to_camera=camera.world_to_camera @ turn) for camera in below]
-    assert known(roughness(mesh, under)) < known(roughness(mesh, below))
-    assert roughness(mesh, []) is None
-    assert roughness(Mesh(vertices=mesh.vertices, faces=mesh.faces[:0])) is None
+    seen = [PosedImages([view_of_ball(camera) for camera in each], ORIGIN).measure(mesh) for each in (under, below)]
+    assert known(seen[0].roughness) < known(seen[1].roughness)
 
 
 def test_pits_in_plain_places_are_told_from_relief_of_the_same_shape():
     """The same bumpy mesh: photographs of a smooth ball make pits of it, its own photographs show relief."""
     smooth, rough = ball(6), bumpy(ball(6), 0.1)
     cameras = ring(5, 12, 320)
-    pits, relief = (consistency(rough, [photograph(mesh, camera) for camera in cameras]) for mesh in (smooth, rough))
+    pits, relief = (
+        PosedImages([photograph(mesh, camera) for camera in cameras], ORIGIN).measure(rough) for mesh in (smooth, rough)
+    )
     assert known(pits.roughness) == pytest.approx(known(relief.roughness), rel=0.1)
     assert known(pits.plain_roughness) > 2 * known(relief.plain_roughness)

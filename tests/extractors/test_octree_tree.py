@@ -1,4 +1,4 @@
-"""The octree as a data structure: splitting, merging, balance, and who touches whom."""
+"""The octree as a data structure: splitting, balance, and who touches whom."""
 
 import itertools
 
@@ -24,7 +24,6 @@ from sculpt_framework.geometry.octree import (
     lattice_keys,
     leaves,
     leaves_at,
-    merge,
     split,
     tree_around,
     vertex_level,
@@ -73,23 +72,9 @@ def test_splitting_splits_no_more_than_it_must(seed, shape):
     # Every other cell that was split has a finer neighbour that needs it: without it the tree is not balanced.
     extra = finer.split_cells[~torch.isin(finer.split_cells, torch.cat([tree.split_cells, chosen]))]
     for cell in extra:
-        assert torch.equal(merge(finer, cell[None]).split_cells, finer.split_cells)
+        without = balanced(finer.grid, finer.split_cells[finer.split_cells != cell])
+        assert torch.equal(without.split_cells, finer.split_cells)
     assert torch.equal(split(finer, chosen).split_cells, finer.split_cells)
-
-
-@settings(max_examples=15, deadline=None)
-@given(seed=st.integers(0, 2**31), shape=SHAPES)
-def test_merging_undoes_what_balance_does_not_need(seed, shape):
-    tree = make(seed, shape)
-    merged = merge(tree, tree.split_cells)
-    going = tree.split_cells[~torch.isin(tree.split_cells, merged.split_cells)]
-    assert bool((levels_of(going) == tree.finest_level - 1).any())
-    assert not bool(torch.isin(parents(tree.split_cells), going).any()), "a cell with split children was merged"
-    assert torch.equal(split(merged, going).split_cells, tree.split_cells)
-    while len(tree.split_cells) > 0:
-        before, tree = tree, merge(tree, tree.split_cells)
-        assert len(tree.split_cells) < len(before.split_cells)
-    assert tree.finest_level == tree.grid.level
 
 
 @settings(max_examples=15, deadline=None)

@@ -11,10 +11,10 @@ from torch.autograd import gradcheck
 import sculpt_framework as sculpt
 from sculpt_framework.errors import ConfigError
 from sculpt_framework.free_gaussians.config import DensityConfig, GaussianRates
+from sculpt_framework.free_gaussians.drawing import facing
 from sculpt_framework.free_gaussians.splats import Splats, Worth
 from sculpt_framework.geometry.signed_distance import EmptySurfaceError
 from sculpt_framework.guided_gaussians.config import AgreementConfig, GuidedGaussiansConfig
-from sculpt_framework.guided_gaussians.drawing import facing
 from sculpt_framework.guided_gaussians.guide import Guide, RayLesson, Shown, cosine, mean_of
 from sculpt_framework.serialization import config_from_json, config_to_json
 from sculpt_framework.types import Camera, Gaussians

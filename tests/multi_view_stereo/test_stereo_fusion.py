@@ -36,7 +36,7 @@ def views() -> list[View]:
 
 @pytest.fixture(scope="module")
 def solid(views: list[View]) -> Volume:
-    return sample(visual_hull(views, 100, CPU), (1.0, 1.0, 1.0), CELLS, CPU)
+    return sample(visual_hull(views, 100), (1.0, 1.0, 1.0), CELLS, CPU)
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +79,7 @@ def test_a_small_part_that_only_masks_tell_of_stays(monkeypatch: pytest.MonkeyPa
     """A ball of five cells' radius without any depth: rays of its masks ask for it. It would vanish else."""
     small = DentedBall(radius=0.2, dent=0.0)
     views = [photograph(small, camera, masked=True) for camera in demo_cameras(12, 160)]
-    solid = sample(visual_hull(views, 100, CPU), (1.0, 1.0, 1.0), CELLS, CPU)
+    solid = sample(visual_hull(views, 100), (1.0, 1.0, 1.0), CELLS, CPU)
     maps = exact_maps(small, stereo_views(views, 80.0))
     maps = replace(maps, depths=np.zeros_like(maps.depths), confidence=np.zeros_like(maps.confidence))
     assert (fuse(solid, maps).values < 0).sum() > 0.5 * (solid.values < 0).sum()
@@ -101,7 +101,7 @@ def test_a_rod_that_only_masks_tell_of_is_kept_and_nothing_beside_it(monkeypatch
 
     below = DentedBall(radius=0.5, dent=0.0)
     views = [with_rod(photograph(below, camera, masked=True)) for camera in demo_cameras(24, 160)]
-    solid = sample(visual_hull(views, 100, CPU), (1.0, 1.0, 1.0), CELLS, CPU)
+    solid = sample(visual_hull(views, 100), (1.0, 1.0, 1.0), CELLS, CPU)
     maps = exact_maps(below, stereo_views(views, 80.0))
     along = np.linspace(ends[0], ends[1], 40)[2:-2]
     start = np.array(solid.origin) + 0.5 * solid.cell
@@ -186,7 +186,7 @@ def test_two_views_give_the_hull(views: list[View], caplog: pytest.LogCaptureFix
     initializer = StereoConfig(cells=32, pixels=32).build()
     (target,) = initializer.targets(pair, torch.ones(3), CPU)
     assert initializer.findings == {"depths_known": 0.0, "confidence": 0.0}
-    hull = visual_hull(pair, 100, CPU)
+    hull = visual_hull(pair, 100)
     points = torch.from_numpy(ball(0.8).points)
     assert torch.equal(target(points), hull(points))
     assert "start from the visual hull" in caplog.text
@@ -213,7 +213,7 @@ def from_high_above() -> list[View]:
 @pytest.fixture(scope="module")
 def cone(from_high_above: list[View]) -> np.ndarray:
     """Points of it, three cells below the ball."""
-    hull = sample(visual_hull(from_high_above, 100, CPU), (1.0, 1.0, 1.0), 128, CPU)
+    hull = sample(visual_hull(from_high_above, 100), (1.0, 1.0, 1.0), 128, CPU)
     below = (hull.values.reshape(-1) < 0) & (hull.points[:, 2] < -LOW.radius - 3 * hull.cell)
     assert below.sum() > 100
     return hull.points[below]

@@ -49,7 +49,6 @@ def evidence_of(name: str) -> Evidence:
     found = gather(scene_of(name))
     return replace(
         found,
-        pixel=SCALE * found.pixel,
         pixel_best=SCALE * found.pixel_best,
         pixel_worst=SCALE * found.pixel_worst,
     )

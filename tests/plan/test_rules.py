@@ -18,7 +18,6 @@ from sculpt_framework.sculpting.config import PlanConfig, of_sculpting
 USUAL = Evidence(
     views=100,
     masked=100,
-    pixel=0.0085,
     pixel_best=0.0082,
     pixel_worst=0.0089,
     contrast=(0.05, 0.08, 0.11, 0.13),
@@ -160,12 +159,12 @@ def test_a_scene_is_never_left_without_views() -> None:
 
 @pytest.mark.parametrize(("pixel", "level"), [(0.0082, 2), (0.02, 1), (0.045, 0)])
 def test_no_level_finer_than_the_pixels(pixel: float, level: int) -> None:
-    config, _ = decided(replace(USUAL, pixel=pixel, pixel_best=pixel, pixel_worst=pixel))
+    config, _ = decided(replace(USUAL, pixel_best=pixel, pixel_worst=pixel))
     assert [stage.level for stage in config.trainer.stages] == [level]
 
 
 def test_a_thin_part_keeps_its_level() -> None:
-    coarse = replace(USUAL, pixel=0.02, pixel_best=0.02, pixel_worst=0.02)
+    coarse = replace(USUAL, pixel_best=0.02, pixel_worst=0.02)
     config, changed = decided(replace(coarse, thinnest=3))
     assert config.trainer.stages[0].level == 2
     assert "level" not in changed
@@ -174,7 +173,7 @@ def test_a_thin_part_keeps_its_level() -> None:
 
 @pytest.mark.parametrize(("thinnest", "finer"), [(12, 1.0), (10, 1.2), (6, 1.375), (3, 1.0)])
 def test_cells_narrow_for_a_part_that_they_come_to_hold(thinnest: int, finer: float) -> None:
-    wide = replace(USUAL, pixel=0.0026, pixel_best=0.0026, pixel_worst=0.0026, thinnest=thinnest)
+    wide = replace(USUAL, pixel_best=0.0026, pixel_worst=0.0026, thinnest=thinnest)
     config, changed = decided(wide)
     assert config.trainer.base_cells == pytest.approx(finer * method().trainer.base_cells, abs=0.5)
     assert ("level" in changed) == (finer > 1)
@@ -182,20 +181,20 @@ def test_cells_narrow_for_a_part_that_they_come_to_hold(thinnest: int, finer: fl
 
 def test_the_start_holds_the_thin_part_too() -> None:
     lit = Gloss(strength=0.01, points=800, unevenness=1.01 * UNEVEN_COLORS)
-    wide = replace(USUAL, pixel=0.0026, pixel_best=0.0026, pixel_worst=0.0026, thinnest=6, gloss=lit)
+    wide = replace(USUAL, pixel_best=0.0026, pixel_worst=0.0026, thinnest=6, gloss=lit)
     config, _ = decided(wide)
     assert option_of(config.initializer, "cells") == config.trainer.base_cells << config.trainer.stages[-1].level
 
 
 @pytest.mark.parametrize(("seconds", "narrow"), [(299.0, False), (600.0, True)])
 def test_cells_do_not_narrow_where_the_time_is_short(seconds: float, narrow: bool) -> None:
-    wide = replace(USUAL, pixel=0.0026, pixel_best=0.0026, pixel_worst=0.0026, thinnest=6)
+    wide = replace(USUAL, pixel_best=0.0026, pixel_worst=0.0026, thinnest=6)
     config, _ = decided(wide, replace(method(), max_time=seconds))
     assert (config.trainer.base_cells > method().trainer.base_cells) == narrow
 
 
 def test_large_images_are_reduced_unless_their_texture_would_go() -> None:
-    fine = replace(USUAL, pixel=0.003, pixel_best=0.003, pixel_worst=0.003)
+    fine = replace(USUAL, pixel_best=0.003, pixel_worst=0.003)
     soft = replace(fine, contrast=(0.005, 0.015, 0.03, 0.06))
     config, changed = decided(soft)
     assert config.trainer.stages[0].image_scale == pytest.approx(2 * 0.003 / (2 / 128))
@@ -231,7 +230,7 @@ def test_a_degree_that_is_not_needed_is_left_out() -> None:
 
 
 def test_gaussians_follow_the_texture_finer_than_a_face() -> None:
-    large = replace(USUAL, pixel=0.0036, pixel_best=0.0036, pixel_worst=0.0038)
+    large = replace(USUAL, pixel_best=0.0036, pixel_worst=0.0038)
     config, changed = decided(large)
     assert vars(config.binder)["gaussians_per_face"] == 4
     assert {name_of(each) for each in config.constraints} == {"mee-scale", "boundary", "spacing", "coverage"}
@@ -242,7 +241,7 @@ def test_gaussians_follow_the_texture_finer_than_a_face() -> None:
 
 
 def test_where_colours_teach_nothing_there_are_more_gaussians_only_to_be_polished() -> None:
-    large = replace(USUAL, pixel=0.0036, pixel_best=0.0036, pixel_worst=0.0038)
+    large = replace(USUAL, pixel_best=0.0036, pixel_worst=0.0038)
     bare = without(method(), "losses", ["photometric"])
     config, changed = decided(large, bare)
     assert vars(config.binder)["gaussians_per_face"] == 1

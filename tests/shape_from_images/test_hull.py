@@ -64,7 +64,7 @@ def test_the_hull_is_the_largest_that_any_view_says():
         ball_view((-0.3, 2.5, 1.0), (41, 63), 0.6),
         ball_view((0.2, -0.4, 2.0), (30, 30), 1.1),
     ]
-    hull = visual_hull(views, 10, CPU)
+    hull = visual_hull(views, 10)
     generator = torch.Generator().manual_seed(2)
     points = 3 * (torch.rand(4000, 3, generator=generator) - 0.5)
     ours = hull(points)
@@ -82,7 +82,7 @@ def test_the_hull_is_the_largest_that_any_view_says():
 
 
 def test_points_that_no_view_can_place():
-    hull = visual_hull([ball_view((3.0, 0.0, 0.0), (40, 40), 0.5)], 10, CPU)
+    hull = visual_hull([ball_view((3.0, 0.0, 0.0), (40, 40), 0.5)], 10)
     behind, far, at_camera, no_number = hull(
         torch.tensor([[9.0, 0.0, 0.0], [-1e6, 1e6, 0.0], [3.0, 0.0, 0.0], [0.0, torch.nan, 0.0]])
     ).tolist()
@@ -92,7 +92,7 @@ def test_points_that_no_view_can_place():
 
 def test_what_is_behind_all_cameras_is_outside():
     views = [ball_view((0.9, y, 0.1), (60, 60), 0.3) for y in (-0.3, 0.0, 0.3)]
-    hull = visual_hull(views, 10, CPU)
+    hull = visual_hull(views, 10)
     inside, behind, beside = hull(torch.tensor([[0.0, 0.0, 0.0], [2.0, 0.1, 0.1], [0.95, 3.0, 0.1]])).tolist()
     assert inside < 0
     assert behind > 0
@@ -102,7 +102,7 @@ def test_what_is_behind_all_cameras_is_outside():
 def test_a_view_of_one_pixel():
     camera = camera_from((3.0, 0.0, 0.0), (1, 1))
     view = View(name="one", camera=camera, rgb=torch.ones(1, 1, 3), alpha=torch.ones(1, 1))
-    assert float(visual_hull([view], 10, CPU)(torch.zeros(1, 3))) < 0
+    assert float(visual_hull([view], 10)(torch.zeros(1, 3))) < 0
 
 
 def rod(points: Tensor) -> Tensor:
@@ -132,7 +132,7 @@ def test_a_volume_is_sampled_where_the_surface_is():
 def test_what_no_image_shows_is_outside_where_all_masks_touch_their_borders():
     """A ball larger than the images: above it, where masks say nothing, there is nothing either."""
     views = [ball_view((3.0, y, 0.2), (40, 30), 2.5) for y in (-0.5, 0.0, 0.6)]
-    hull = visual_hull(views, 3, CPU)
+    hull = visual_hull(views, 3)
     high = torch.stack([torch.zeros(40), torch.zeros(40), torch.linspace(0.0, 3.0, 40)], dim=1)
     shown = np.array(
         [[bool(v.camera.shows(v.camera.project(high.double().numpy()))[i]) for v in views] for i in range(40)]
@@ -143,5 +143,5 @@ def test_what_no_image_shows_is_outside_where_all_masks_touch_their_borders():
     assert (~shown.any(axis=1)).sum() > 10
     # It is a distance: as far away as the nearest image's edge.
     assert np.abs(np.diff(values)).max() < 1.2 * 3.0 / 39
-    closed = visual_hull([*views, ball_view((3.0, 0.0, 0.2), (40, 30), 0.3)], 4, CPU)
+    closed = visual_hull([*views, ball_view((3.0, 0.0, 0.2), (40, 30), 0.3)], 4)
     assert closed(torch.tensor([[0.0, 0.0, 2.9]])) > 0

@@ -85,7 +85,7 @@ def test_depths_are_right(views: list[View], seen: Callable[[View], View]):
     """Also where the object is not in the middle of the images: depths are along the axis."""
     views = [seen(view) for view in views]
     packed = pack_views(views, 32.0)
-    maps = find_depths(packed, sample(visual_hull(views, 100, CPU), (1.0, 1.0, 1.0), 64, CPU), OPTIONS)
+    maps = find_depths(packed, sample(visual_hull(views, 100), (1.0, 1.0, 1.0), 64, CPU), OPTIONS)
     assert maps.known > 0.7
     view, row, column = np.nonzero(np.isfinite(maps.depths))
     lens, pose = packed.lenses[view].astype(float), packed.poses[view].astype(float)
@@ -102,7 +102,7 @@ def test_depths_are_right(views: list[View], seen: Callable[[View], View]):
 def test_without_texture_the_hull_stays(views):
     grey = [View(name=v.name, camera=v.camera, rgb=torch.full_like(v.rgb, 0.5), alpha=v.alpha) for v in views]
     *_, target = PhotoHullConfig(cells=48, pixels=48, depths=32).build().targets(grey, HALF_SIDES, CPU)
-    dense = sample(visual_hull(views, 100, CPU), (1.0, 1.0, 1.0), 48, CPU)
+    dense = sample(visual_hull(views, 100), (1.0, 1.0, 1.0), 48, CPU)
     carved = (target(torch.from_numpy(dense.points)).numpy() > 0.02) & (dense.values.reshape(-1) < -0.02)
     assert carved.mean() < 0.01
 
@@ -112,7 +112,7 @@ def test_few_views_give_the_hull(views, count, caplog):
     """So few have no neighbours to be compared with, and leave too much unseen to guess at it."""
     caplog.set_level("INFO", "sculpt")
     (target,) = PhotoHullConfig(cells=32, pixels=32, depths=16).build().targets(views[:count], HALF_SIDES, CPU)
-    hull = visual_hull(views[:count], 100, CPU)
+    hull = visual_hull(views[:count], 100)
     points = torch.from_numpy(sample(hull, (1.0, 1.0, 1.0), 32, CPU).points)
     assert target(points).numpy() == pytest.approx(hull(points).numpy(), abs=1e-6)
     assert "start from the visual hull" in caplog.text
@@ -170,7 +170,7 @@ def exact_depths(packed: PackedViews, distance: Callable[[np.ndarray], np.ndarra
 def test_exact_depths_carve_the_exact_shape(views):
     """What is left is the error of fusing."""
     packed = pack_views(views, 48.0)
-    solid = sample(visual_hull(views, 100, CPU), (1.0, 1.0, 1.0), 96, CPU)
+    solid = sample(visual_hull(views, 100), (1.0, 1.0, 1.0), 96, CPU)
     carved = carve(solid, packed, DepthMaps(depths=exact_depths(packed, dented_ball), step=0.0, known=1.0), 0.0)
     assert error_in_dent(carved.values.reshape(-1), carved.points) < 0.5 * carved.cell
 

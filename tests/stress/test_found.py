@@ -68,10 +68,10 @@ def test_a_silhouette_thinner_than_half_a_pixel_carves_nothing():
     thin = small.View(
         name="thin", camera=cameras[0], rgb=views[0].rgb, alpha=0.4 * torch.ones_like(views[0].rgb[..., 0])
     )
-    hull = visual_hull([*views, thin], 100, torch.device("cpu"))
+    hull = visual_hull([*views, thin], 100)
     assert float(hull(inside)) < 0 < float(hull(outside))
     with pytest.raises(DataError, match="all masks are empty"):
-        visual_hull([thin, thin], 100, torch.device("cpu"))
+        visual_hull([thin, thin], 100)
 
 
 def test_what_a_killed_writer_left_is_removed(tmp_path: Path):

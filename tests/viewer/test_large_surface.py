@@ -63,9 +63,9 @@ def test_no_layer_is_more_than_a_second_of_a_slow_line(frame: Frame, server: vis
         for show in (
             lambda: show_mesh(server.scene, paint(frame, COLORS, None, ())),
             lambda: show_mesh(server.scene, paint(frame, KEYS, None, ())),
-            lambda: show_wireframe(server.scene, frame, visible=True),
-            lambda: show_splats(server.scene, frame.gaussians, SPLATS_AT_MOST[USUAL_SPLATS], visible=True),
-            lambda: show_cells(server.scene, frame.cells, visible=True),
+            lambda: show_wireframe(server.scene, frame),
+            lambda: show_splats(server.scene, frame.gaussians, SPLATS_AT_MOST[USUAL_SPLATS]),
+            lambda: show_cells(server.scene, frame.cells),
         ):
             show()
             sent.append(sum(map(len, received_bytes(client, 1.0, first=60.0))) / 1e6)

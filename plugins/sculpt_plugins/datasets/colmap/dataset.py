@@ -19,7 +19,7 @@ from sculpt_framework.posed_images.image_files import (
     remarks,
     view_names,
 )
-from sculpt_framework.posed_images.lens import Pinhole
+from sculpt_framework.posed_images.lens import ASPECT_TOLERANCE, Pinhole
 from sculpt_framework.posed_images.masks import find_masks
 from sculpt_framework.posed_images.photographs import hold_out, load_photographs
 from sculpt_framework.posed_images.reading import in_line, in_short
@@ -30,8 +30,6 @@ from sculpt_plugins.datasets.colmap import binary, text
 from sculpt_plugins.datasets.colmap.config import ColmapConfig
 from sculpt_plugins.datasets.colmap.lenses import lens_of
 from sculpt_plugins.datasets.colmap.model import SparseCamera, SparseImage, SparseModel, find_model
-
-_ASPECT_TOLERANCE = 0.01
 
 
 class ColmapDataset(Dataset):
@@ -149,7 +147,7 @@ def _posed(model: SparseModel, image: SparseImage, path: Path, name: str, mask: 
 
 
 def _camera(image: SparseImage, camera: SparseCamera, pinhole: Pinhole, path: Path, width: int, height: int) -> Camera:
-    if abs(width / height * camera.height / camera.width - 1) > _ASPECT_TOLERANCE:
+    if abs(width / height * camera.height / camera.width - 1) > ASPECT_TOLERANCE:
         raise DataError(
             f"{path}: the image is {width}x{height}, its camera in the model {camera.width}x{camera.height}; expected "
             "the same size or the same shape."

@@ -19,6 +19,7 @@ from sculpt_framework.evaluation.mesh import Mesh, load_mesh
 from sculpt_framework.export.atomic import write_atomically
 from sculpt_framework.posed_images.reading import number, read_json, required
 from sculpt_framework.types import Box
+from sculpt_framework.user_cache import user_cache
 
 SCAN = Path("Scan") / "Scan.obj"
 _SLACK = 0.02
@@ -97,8 +98,7 @@ def _cached(mesh: Mesh, scan: Path, scale: float) -> Path:
     state = scan.stat()
     identity = f"{_REVISION} {scan.resolve()} {state.st_size} {state.st_mtime_ns} {scale!r}"
     name = f"{hashlib.sha256(identity.encode()).hexdigest()[:16]}.ply"
-    base = os.environ.get("XDG_CACHE_HOME")
-    folder = (Path(base) if base else Path.home() / ".cache") / "gaussian-sculpting" / "omniobject3d"
+    folder = user_cache() / "omniobject3d"
     if (folder / name).is_file():
         return folder / name
     data = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(file_type="ply")

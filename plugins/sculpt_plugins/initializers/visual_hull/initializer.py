@@ -24,7 +24,7 @@ class VisualHull(Initializer):
     def targets(
         self, views: Sequence[View], half_sides: Float[Tensor, " 3"], device: torch.device
     ) -> Iterator[SdfFunction]:
-        hull = visual_hull(views, self._config.max_views, device)
+        hull = visual_hull(views, self._config.max_views)
         yield hull
         if self._config.cells == 0:
             return

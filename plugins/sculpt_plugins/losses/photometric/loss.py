@@ -42,11 +42,3 @@ class Photometric(ImageLoss):
         lit = rendering.rgb if target.background is None else rendering.rgb - (1 - alpha) * target.background
         made = rendering.rgb + gain * lit + offset * alpha
         return l1_dssim(made, target.rgb, self._config.dssim) + self._config.light_prior * own.square().mean()
-
-    @property
-    def light(self) -> dict[str, tuple[Float[Tensor, " 3"], Float[Tensor, " 3"]]]:
-        """Gain and offset per channel, by the name of the image; empty where all have the same."""
-        if self._light is None:
-            return {}
-        values = self._light.detach()
-        return {name: (1 + values[number, 0], values[number, 1]) for name, number in self._numbers.items()}

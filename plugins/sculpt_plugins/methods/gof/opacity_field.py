@@ -8,9 +8,10 @@ import torch
 from jaxtyping import Float64
 
 from sculpt_framework.cpu_kernels import array_of, share_threads
+from sculpt_framework.export.mesh_pixels import lens_values
 from sculpt_framework.free_gaussians.tiles import TileLists
 from sculpt_framework.types import Camera, Gaussians
-from sculpt_plugins.methods.gof.rays import kernels, lens_of, seen_by
+from sculpt_plugins.methods.gof.rays import kernels, seen_by
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -48,7 +49,7 @@ class OpacityField:
             camera, tiles = view.camera, view.tiles
             size = np.array([camera.width, camera.height], np.float64)
             kernels.lower(
-                camera.local(points), enough, view.forms, view.opacities, view.limits, lens_of(camera), size,
+                camera.local(points), enough, view.forms, view.opacities, view.limits, lens_values(camera), size,
                 tiles.lists, tiles.starts, tiles.columns, least, seen,
             )  # fmt: skip
         return np.where(seen, least, 0.0)

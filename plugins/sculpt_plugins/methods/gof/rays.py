@@ -6,11 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float64
+from jaxtyping import Float
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from sculpt_framework.cpu_kernels import array_of, kernel_cache, share_threads
+from sculpt_framework.export.mesh_pixels import lens_values
 from sculpt_framework.free_gaussians import row_kernels
 from sculpt_framework.free_gaussians.tiles import TileLists, list_tiles
 from sculpt_framework.rendering.spherical_harmonics import sh_to_rgb
@@ -84,7 +85,7 @@ def draw_rays(gaussians: Gaussians, camera: Camera, background: Float[Tensor, " 
     seen = seen_by(gaussians, camera, smoothing)
     colors = sh_to_rgb(gaussians.sh, gaussians.means, camera.position.to(gaussians.means))
     out, left, distortion = _Rays.apply(
-        seen.whites, seen.centers, seen.opacities, colors, seen.tiles(camera), seen.limits, lens_of(camera),
+        seen.whites, seen.centers, seen.opacities, colors, seen.tiles(camera), seen.limits, lens_values(camera),
         (camera.height, camera.width),
     )  # fmt: skip
     rgb = out[..., :3] + left[..., None] * background
@@ -92,10 +93,6 @@ def draw_rays(gaussians: Gaussians, camera: Camera, background: Float[Tensor, " 
     return DrawnRays(
         rendering=Rendering(rgb=rgb, alpha=1 - left, depth=out[..., 6], normal=normal), distortion=distortion
     )
-
-
-def lens_of(camera: Camera) -> Float64[np.ndarray, "4"]:
-    return np.array([camera.fx, camera.fy, camera.cx, camera.cy])
 
 
 class _Rays(torch.autograd.Function):

@@ -8,10 +8,11 @@ from jaxtyping import Float64
 from scipy.spatial import Delaunay
 
 from sculpt_framework.free_gaussians.drawing import Drawing
-from sculpt_framework.free_gaussians.meshing import Mesher, spread
+from sculpt_framework.free_gaussians.meshing import MOST_VIEWS, Mesher
 from sculpt_framework.geometry.grid import Grid
 from sculpt_framework.geometry.signed_distance import EmptySurfaceError
 from sculpt_framework.geometry.tetrahedra import march_tetrahedra
+from sculpt_framework.spread import spread
 from sculpt_framework.types import Camera, Gaussians, Surface
 from sculpt_plugins.methods.gof.config import GofConfig
 from sculpt_plugins.methods.gof.opacity_field import OpacityField
@@ -34,7 +35,7 @@ class OpacityMesher(Mesher):
     @torch.no_grad()
     def surface(self, drawing: Drawing, gaussians: Gaussians, cameras: Sequence[Camera]) -> Surface:
         config = self._config
-        field = OpacityField(gaussians, spread(cameras), config.smoothing)
+        field = OpacityField(gaussians, spread(cameras, MOST_VIEWS), config.smoothing)
         corners = self._corners(gaussians)
         tetrahedra = Delaunay(corners).simplices.astype(np.int64)
         inside = field.at(corners, config.level) >= config.level

@@ -10,7 +10,9 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from sculpt_framework.cpu_kernels import array_of, kernel_cache, share_threads
+from sculpt_framework.export.mesh_pixels import lens_values
 from sculpt_framework.free_gaussians import row_kernels
+from sculpt_framework.free_gaussians.drawing import facing
 from sculpt_framework.free_gaussians.tiles import list_tiles
 from sculpt_framework.rendering.spherical_harmonics import sh_to_rgb
 from sculpt_framework.types import Camera, Gaussians, Rendering
@@ -44,11 +46,8 @@ def draw_disks(gaussians: Gaussians, camera: Camera, background: Float[Tensor, "
     rotation, shift = pose[:3, :3], pose[:3, 3]
     axes = gaussians.rotations[:, :, 1:] * gaussians.scales[:, None, 1:]
     frames = torch.cat([rotation @ axes, (gaussians.means @ rotation.T + shift)[:, :, None]], dim=2)
-    normals = gaussians.rotations[:, :, 0]
-    away = ((gaussians.means - camera.position.to(normals)) * normals).sum(dim=1, keepdim=True)
-    towards = torch.where(away > 0, -normals, normals)
-    colors = sh_to_rgb(gaussians.sh, gaussians.means, camera.position.to(normals))
-    features = torch.cat([colors, towards], dim=1)
+    colors = sh_to_rgb(gaussians.sh, gaussians.means, camera.position.to(gaussians.means))
+    features = torch.cat([colors, facing(gaussians.rotations[:, :, 0], gaussians.means, camera)], dim=1)
     out, left, distortion, median = _Disks.apply(frames, gaussians.opacities, features, camera)
     rgb = out[..., :3] + left[..., None] * background
     rendering = Rendering(rgb=rgb, alpha=1 - left, depth=out[..., 6], normal=out[..., 3:6])
@@ -61,7 +60,7 @@ class _Disks(torch.autograd.Function):
     @staticmethod
     def forward(ctx, frames: Tensor, opacities: Tensor, features: Tensor, camera: Camera):
         share_threads()
-        lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+        lens = lens_values(camera)
         reach = 2 * (opacities.detach().double() / row_kernels.ALPHA_MIN).log()
         tiles = list_tiles(frames.detach().double(), reach, camera, tile=row_kernels.TILE, margin=_BLUR)
         lists, starts, columns = tiles.lists, tiles.starts, tiles.columns

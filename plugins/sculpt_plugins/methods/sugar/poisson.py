@@ -14,11 +14,12 @@ from sculpt_framework.evaluation.mesh import Mesh, load_mesh
 from sculpt_framework.export.ply import encode_ply
 from sculpt_framework.free_gaussians.closing import closed_surface, is_closed
 from sculpt_framework.free_gaussians.drawing import Drawing, on_white
-from sculpt_framework.free_gaussians.meshing import Mesher, spread
+from sculpt_framework.free_gaussians.meshing import MOST_VIEWS, Mesher
 from sculpt_framework.geometry.grid import Grid
 from sculpt_framework.geometry.signed_distance import EmptySurfaceError
 from sculpt_framework.posing.colmap import require_pycolmap
 from sculpt_framework.rendering.depth_normals import pixel_rays
+from sculpt_framework.spread import spread
 from sculpt_framework.types import Camera, Gaussians, Surface
 from sculpt_plugins.methods.sugar.config import SugarConfig
 from sculpt_plugins.methods.sugar.density import density_at, neighbours
@@ -64,7 +65,7 @@ class PoissonMesher(Mesher):
         )
 
     def _points(self, drawing: Drawing, gaussians: Gaussians, cameras: Sequence[Camera]) -> OrientedPoints:
-        chosen, level = spread(cameras), self._config.poisson.level
+        chosen, level = spread(cameras, MOST_VIEWS), self._config.poisson.level
         # The same at each call, so that a mesh can be asked for at any time.
         generator = torch.Generator().manual_seed(self._config.seed)
         found = []

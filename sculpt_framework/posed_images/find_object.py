@@ -24,6 +24,7 @@ from sculpt_framework.posed_images.plain_parts import agreed, grown
 from sculpt_framework.posed_images.still_background import with_still_background
 from sculpt_framework.posed_images.support import Plane, find_planes, goes_on
 from sculpt_framework.shape_from_images.volume import Volume, whole_box
+from sculpt_framework.spread import spread
 from sculpt_framework.threads import in_threads
 from sculpt_framework.types import Box, View
 
@@ -176,8 +177,7 @@ def _search(given: Sequence[View], train: int, seed: Box, *, sure: bool, keep_su
     """By some of the first ``train`` views, in a space around the seed."""
     frame = _cube(seed)
     posed = [replace(view, camera=frame.camera_to_object(view.camera)) for view in given]
-    chosen = np.unique(np.linspace(0, train - 1, min(_VIEWS, train)).round().astype(int))
-    solid = _solid([posed[index] for index in chosen], sure=sure, keep_support=keep_support)
+    solid = _solid(spread(posed[:train], _VIEWS), sure=sure, keep_support=keep_support)
     return solid if isinstance(solid, str) else _Search(frame=frame, posed=posed, solid=solid)
 
 

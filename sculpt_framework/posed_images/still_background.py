@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float32, Int64, Num
 
 from sculpt_framework.posed_images.grab_cut import Mask, Pixels, RoughCut
+from sculpt_framework.spread import spread
 from sculpt_framework.types import Camera
 
 _SMALL = 160
@@ -59,7 +60,7 @@ def with_still_background(cuts: Sequence[RoughCut], cameras: Sequence[Camera]) -
     for group in _groups(cuts, cameras):
         own = [cuts[index] for index in group]
         for _ in range(_ROUNDS):
-            own = _told(own, _still(own[:: -(-len(own) // _MOST)]))
+            own = _told(own, _still(spread(own, _MOST)))
         for index, each in zip(group, own, strict=True):
             out[index] = each
     return out

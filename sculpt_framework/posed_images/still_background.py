@@ -84,6 +84,8 @@ class _Small:
     image: Float32[np.ndarray, "h w 3"]
     free: Mask
     """What shows nothing of the object."""
+    full: tuple[int, ...]
+    """Rows and columns before it was reduced."""
 
 
 def _reduced(cut: RoughCut) -> _Small:
@@ -92,11 +94,11 @@ def _reduced(cut: RoughCut) -> _Small:
     size = max(1, round(width * factor)), max(1, round(height * factor))
     layers = cut.image.astype(np.float32), (cut.trimap != cv2.GC_BGD).astype(np.float32)
     image, covered = (np.asarray(cv2.resize(layer, size, interpolation=cv2.INTER_AREA)) for layer in layers)
-    return _Small(image=image, free=covered == 0)
+    return _Small(image=image, free=covered == 0, full=cut.trimap.shape)
 
 
 def _alike(one: _Small, other: _Small) -> bool:
-    if one.image.shape != other.image.shape:
+    if one.full != other.full:
         return False
     far = max(1, round(_SHIFTED * one.image.shape[1]))
     free, moved = one.free & other.free, one.free[:, far:] & other.free[:, :-far]

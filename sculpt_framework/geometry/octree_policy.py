@@ -108,7 +108,6 @@ def reached_along(grid: Grid, box: Box) -> list[Bool[Tensor, " _"]]:
     return layers
 
 
-@torch.no_grad()
 def coarsen(grid: Grid, cells: Int64[Tensor, " n"], wanted: WantedLevels) -> Int64[Tensor, " m"]:
     """Keys, ascending, of the largest cells round the given ones that are fine enough; these stay if they are not."""
     while True:

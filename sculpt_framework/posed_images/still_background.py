@@ -118,7 +118,7 @@ def _still(cuts: Sequence[RoughCut]) -> _Still:
     covered = np.stack([each.trimap != cv2.GC_BGD for each in cuts])
     images = np.stack([each.image for each in cuts])
     free = (~covered).sum(axis=0)
-    middle, most = ((free - 1) // 2).clip(min=0), np.minimum(2 * free // 3, (free - 1).clip(min=0))
+    middle, most = ((free - 1) // 2).clip(min=0), 2 * free // 3
     channels = [_ranked(np.where(covered, np.uint8(255), images[..., channel]), middle) for channel in range(3)]
     colors = np.stack(channels, axis=-1).astype(np.float32)
     off = np.stack([_off(image, colors) for image in images])

@@ -2,10 +2,9 @@
 
 from pathlib import Path
 
-import numpy as np
-
 from sculpt_framework.errors import CheckpointError
 from sculpt_framework.export.atomic import write_atomically
+from sculpt_framework.spread import spread
 from sculpt_framework.viewing.colors import COLORS, paint
 from sculpt_framework.viewing.frames import Frame, read_frame, step_files
 from sculpt_framework.viewing.layers import show_mesh, show_splats
@@ -29,10 +28,9 @@ def write_html(folder: Path, out: Path) -> int:
     last = RunFolder(folder).newest()
     if last is None or len(last.faces) == 0:
         raise CheckpointError(f"{folder} has no surface to show yet.")
-    files = step_files(folder)
-    most = min(len(files), _STEPS_AT_MOST, max(1, FACES_AT_MOST // len(last.faces)))
-    chosen = np.unique(np.linspace(0, len(files) - 1, most).astype(int)) if files else []
-    write_atomically(out, _play([*(read_frame(files[index][1]) for index in chosen), last]).encode("utf-8"))
+    most = min(_STEPS_AT_MOST, max(1, FACES_AT_MOST // len(last.faces)))
+    chosen = spread(step_files(folder), most)
+    write_atomically(out, _play([*(read_frame(path) for _, path in chosen), last]).encode("utf-8"))
     return len(chosen) + 1
 
 

@@ -55,7 +55,7 @@ def cameras_told(views: Sequence[View]) -> dict[str, list[float]]:
 
 def read_frame(path: Path) -> WorldFrame:
     """Raises DataError where the file is damaged or holds no frame."""
-    document = read_json(path)
+    document = read_json(path, "metres_per_unit and up")
     metres, up = document.get("metres_per_unit"), document.get("up")
     scale = None if metres is None else number(metres, f"{path}: metres_per_unit")
     if scale is not None and not scale > 0:

@@ -14,7 +14,8 @@ from sculpt_framework.export.decimation import LEAST_FACES, carry_over, decimate
 from sculpt_framework.export.flat_base import cut_below
 from sculpt_framework.export.mesh_files import Colors, Faces, Vertices
 from sculpt_framework.export.options import METRES, MeshExporterConfig, Unit, parse_length, parse_up
-from sculpt_framework.export.run_results import ColoredMesh, SceneFrame, read_frame, read_mesh
+from sculpt_framework.export.run_results import ColoredMesh, frame_of_run, read_mesh
+from sculpt_framework.frame import WorldFrame
 from sculpt_framework.geometry.coincident import separate
 
 _BASE_METRES = 0.0005
@@ -88,7 +89,7 @@ def place(run_dir: Path, config: MeshExporterConfig, frame: FileFrame, unit: Uni
     Raises CheckpointError where the run has no mesh, ConfigError where no real size is known for a unit, DataError
     where the mesh cannot be simplified or cut and stay closed.
     """
-    given, mesh = read_frame(run_dir), read_mesh(run_dir)
+    given, mesh = frame_of_run(run_dir), read_mesh(run_dir)
     up, file_up = up_vector(config.up, given), np.eye(3)["xyz".index(frame.up)]
     turned = frame.turned or config.needs_up
     notes = []
@@ -120,7 +121,7 @@ def place(run_dir: Path, config: MeshExporterConfig, frame: FileFrame, unit: Uni
     )
 
 
-def up_vector(up: str | None, frame: SceneFrame) -> Float64[np.ndarray, " 3"] | None:
+def up_vector(up: str | None, frame: WorldFrame) -> Float64[np.ndarray, " 3"] | None:
     """Unit vector of what is up in the scene, by the option or the scene's frame; None where neither says."""
     chosen = parse_up(up) if up is not None else frame.up
     if chosen is None:
@@ -153,7 +154,7 @@ class _Scale:
 
 
 def _scale(
-    turned: Vertices, config: MeshExporterConfig, frame: SceneFrame, asked: Unit | None, default: Unit | None
+    turned: Vertices, config: MeshExporterConfig, frame: WorldFrame, asked: Unit | None, default: Unit | None
 ) -> _Scale:
     unit = asked or default
     if config.size is not None:

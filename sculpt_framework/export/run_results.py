@@ -1,8 +1,6 @@
 """What a run directory has for an export: the mesh, the photographs, how the scene's frame lies in the world."""
 
 import json
-import math
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,7 +13,7 @@ from sculpt_framework.errors import CheckpointError, DataError
 from sculpt_framework.evaluation.mesh import Mesh
 from sculpt_framework.export.drawn_mesh import GREY
 from sculpt_framework.export.mesh_files import Colors, Faces, Vertices, read_colored_mesh
-from sculpt_framework.frame import FRAME_NAME
+from sculpt_framework.frame import FRAME_NAME, WorldFrame, read_frame
 from sculpt_framework.types import Scene
 
 
@@ -29,15 +27,6 @@ class ColoredMesh:
     @property
     def shown_colors(self) -> Colors:
         return np.full(self.vertices.shape, GREY) if self.colors is None else self.colors
-
-
-@dataclass(frozen=True, kw_only=True)
-class SceneFrame:
-    """How a scene's frame lies in the world, as far as somebody has said."""
-
-    metres_per_unit: float | None
-    up: Sequence[float] | None
-    """In the scene's frame; of any length."""
 
 
 def result_file(run_dir: Path, name: str) -> Path:
@@ -78,11 +67,11 @@ def read_scene(run_dir: Path, data: str | None) -> Scene:
         raise DataError(f"{error} The run was made from {config.data}; --data DIR says where it is now.") from None
 
 
-def read_frame(run_dir: Path) -> SceneFrame:
+def frame_of_run(run_dir: Path) -> WorldFrame:
     """From frame.json of the run and, for what that leaves open, of the scene's folder. Raises DataError."""
     folders = [run_dir, *_scene_folder(run_dir)]
-    found = [_read_frame_file(folder / FRAME_NAME) for folder in folders if (folder / FRAME_NAME).is_file()]
-    return SceneFrame(
+    found = [read_frame(folder / FRAME_NAME) for folder in folders if (folder / FRAME_NAME).is_file()]
+    return WorldFrame(
         metres_per_unit=next((frame.metres_per_unit for frame in found if frame.metres_per_unit is not None), None),
         up=next((frame.up for frame in found if frame.up is not None), None),
     )
@@ -95,28 +84,3 @@ def _scene_folder(run_dir: Path) -> list[Path]:
     except (OSError, ValueError, KeyError, TypeError):
         return []
     return [Path(data)] if isinstance(data, str) and data else []
-
-
-def _read_frame_file(path: Path) -> SceneFrame:
-    wrong = DataError(
-        f'{path} is not as expected: {{"metres_per_unit": a number above 0 or null, "up": [x, y, z] or null}}; '
-        "mend or remove it."
-    )
-    try:
-        values = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        raise wrong from None
-    if not isinstance(values, Mapping):
-        raise wrong
-    metres, up = values.get("metres_per_unit"), values.get("up")
-    if metres is not None and not (_is_number(metres) and metres > 0):
-        raise wrong
-    if up is not None and not (isinstance(up, list) and len(up) == 3 and all(map(_is_number, up)) and any(up)):
-        raise wrong
-    return SceneFrame(
-        metres_per_unit=None if metres is None else float(metres), up=None if up is None else [float(x) for x in up]
-    )
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

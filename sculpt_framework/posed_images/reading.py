@@ -19,11 +19,13 @@ def read_text(path: Path, expected: str) -> str:
         raise DataError(f"{path}: not text; expected {expected}.") from None
 
 
-def read_json(path: Path) -> dict[str, object]:
-    """The object in a JSON file. Raises DataError if the file is unreadable, cut, or holds something else."""
+def read_json(path: Path, keys: str = "camera_angle_x and frames") -> dict[str, object]:
+    """The object in a JSON file. Raises DataError if the file is unreadable, cut, or holds something else; ``keys`` are
+    what the message says that it should hold.
+    """
     text = read_text(path, "JSON in UTF-8")
     if not text.strip():
-        raise DataError(f"{path}: the file is empty; expected JSON with camera_angle_x and frames.")
+        raise DataError(f"{path}: the file is empty; expected JSON with {keys}.")
     try:
         value = json.loads(text)
     except json.JSONDecodeError as error:
@@ -32,7 +34,7 @@ def read_json(path: Path) -> dict[str, object]:
     except (RecursionError, ValueError) as error:
         raise DataError(f"{path}: the JSON cannot be read ({type(error).__name__}); write it again.") from None
     if not isinstance(value, dict):
-        raise DataError(f"{path}: holds a {_kind(value)}; expected an object with camera_angle_x and frames.")
+        raise DataError(f"{path}: holds a {_kind(value)}; expected an object with {keys}.")
     return value
 
 

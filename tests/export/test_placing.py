@@ -260,10 +260,22 @@ def test_mistakes_leave_nothing(words: tuple, error: type[Exception], message: s
     assert sorted(run_dir.iterdir()) == before
 
 
-@pytest.mark.parametrize("text", ["no JSON", "[]", '{"metres_per_unit": 0}', '{"up": [0, 0, 0]}', '{"up": [1, 2]}'])
-def test_a_frame_file_that_is_none(text: str, run_dir: Path):
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("no JSON", "the JSON is not valid at line 1"),
+        ("[]", "holds a list; expected an object with metres_per_unit and up"),
+        ('{"metres_per_unit": 0}', "metres_per_unit is 0; expected more than 0, or null"),
+        ('{"metres_per_unit": NaN}', "metres_per_unit is nan; expected a finite number"),
+        ('{"metres_per_unit": true}', "metres_per_unit is a truth value; expected a number"),
+        ('{"up": [0, 0, 0]}', r"up is \[0, 0, 0\]; expected three numbers that are not all 0, or null"),
+        ('{"up": [1, 2]}', r"up is \[1, 2\]; expected three numbers"),
+        ('{"up": "z"}', "up is z; expected three numbers"),
+    ],
+)
+def test_a_frame_file_that_is_none(text: str, complaint: str, run_dir: Path):
     (run_dir / "frame.json").write_text(text)
-    with pytest.raises(DataError, match=r"frame\.json is not as expected"):
+    with pytest.raises(DataError, match=rf"frame\.json: {complaint}"):
         run(run_dir, "--format", "stl")
 
 

@@ -7,7 +7,7 @@ from sculpt_framework.evaluation.pictures import color_picture
 from sculpt_framework.export.baking import bake_texture
 from sculpt_framework.export.pictures import paint, turntable_cameras, write_turntable
 from sculpt_framework.export.placing import simplify, up_vector
-from sculpt_framework.export.run_results import read_frame, read_mesh
+from sculpt_framework.export.run_results import frame_of_run, read_mesh
 from sculpt_framework.exporters import Exporter
 from sculpt_plugins.exporters.turntable.config import TurntableExporterConfig
 
@@ -22,7 +22,7 @@ class TurntableExporter(Exporter):
     def write(self, run_dir: Path, out: Path) -> Sequence[str]:
         config = self._config
         mesh = simplify(read_mesh(run_dir), config.target_faces)
-        up = up_vector(config.up, read_frame(run_dir))
+        up = up_vector(config.up, frame_of_run(run_dir))
         colors = mesh.shown_colors
         if config.texture:
             colors = bake_texture(mesh, run_dir, config.data, config.texture_size).at(mesh.vertices)

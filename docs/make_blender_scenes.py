@@ -302,7 +302,7 @@ def render(
             pose = [list(row) for row in camera.matrix_world]
             frames.append({"file_path": f"./{split}/r_{i}", "transform_matrix": pose})
         text = json.dumps({"camera_angle_x": camera.data.angle_x, "frames": frames}, indent=1)
-        (folder / f"transforms_{split}.json").write_text(text)
+        (folder / f"transforms_{split}.json").write_text(text, encoding="utf-8")
 
 
 def painted(bpy, name: str):

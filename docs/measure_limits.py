@@ -131,7 +131,7 @@ def train(scene: str, options: Sequence[str], out: Path) -> Path:
 
 
 def told_by(run: Path) -> dict[str, Any]:
-    return json.loads((run / "metrics.json").read_text())
+    return json.loads((run / "metrics.json").read_text(encoding="utf-8"))
 
 
 def measure(run: Path) -> Parts:

@@ -26,6 +26,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from sculpt_framework.cores import usable_cores
 from sculpt_framework.demo_scenes.cameras import demo_cameras
 from sculpt_framework.demo_scenes.objects import DEFAULT, OBJECTS
 from sculpt_framework.demo_scenes.tracing import render
@@ -71,7 +72,7 @@ def main() -> int:
         cost = run(words, Path(aside) / "run")
     sys.stdout.write(
         f"{options.photographs} photographs of {options.width}x{options.height} before a {options.background}, "
-        f"{size / 2**30:.2f} GiB on disk, {len(os.sched_getaffinity(0))} cores: first step of "
+        f"{size / 2**30:.2f} GiB on disk, {usable_cores()} cores: first step of "
         f"the colours after {cost.first_inner:.1f} s, of the surface after {cost.first_outer:.1f} s, {options.steps} "
         f"steps and saving {cost.whole:.1f} s, peak memory "
         f"{cost.peak_bytes / 2**30:.2f} GiB\n"
@@ -87,7 +88,7 @@ def take_photographs(folder: Path, count: int, width: int, height: int, backgrou
     # Noise of a size that no two photographs have in the same place.
     noise = np.random.default_rng(0).normal(0, NOISE, (height + 97, width + 89, 3)).astype(np.int16)
     small = [_wide(camera, width, height) for camera in demo_cameras(count, RENDERED)]
-    with ThreadPoolExecutor(max_workers=len(os.sched_getaffinity(0))) as pool:
+    with ThreadPoolExecutor(max_workers=usable_cores()) as pool:
         work = [
             pool.submit(_take, folder / "images" / f"photo_{index:04d}.jpg", camera, (width, height), background, noise)
             for index, camera in enumerate(small)

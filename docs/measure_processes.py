@@ -69,15 +69,15 @@ def train(request: argparse.Namespace, extra: list[str], count: int, seed: int, 
         subprocess.run(
             command, env={**os.environ, "OMP_NUM_THREADS": threads, "NUMBA_NUM_THREADS": threads}, check=True
         )
-    final = json.loads((out / "metrics.json").read_text())["final"]
-    with (out / "events.jsonl").open() as lines:
+    final = json.loads((out / "metrics.json").read_text(encoding="utf-8"))["final"]
+    with (out / "events.jsonl").open(encoding="utf-8") as lines:
         events = [json.loads(line) for line in lines]
     rows = [each for each in events if each["event"] == "evaluation"]
     # The first row of a stage comes after the colours' warming up and before the surface first moves.
     first = next(row for row in rows if row["data"]["reason"] == "stage")
     last = next(row for row in rows if row["data"]["reason"] == "end of optimisation")
     passed = last["t_train"] - first["t_train"]
-    with (out / "curve.csv").open() as lines:
+    with (out / "curve.csv").open(encoding="utf-8") as lines:
         seconds = float(list(csv.DictReader(lines))[-1]["t_train_s"])
     return Cost(chamfer=final["chamfer_ps"], psnr=final["psnr"], per_view=passed / (views * steps), seconds=seconds)
 

@@ -105,7 +105,7 @@ def main() -> None:
         runs = [start(request, extra, *kind, Path(folder) / "-".join(map(str, kind))) for kind in kinds]
     foretold = foretell(runs[1], processes=count, per_sum=runs[2]["seconds_per_sum"])
     if request.json is not None:
-        request.json.write_text(json.dumps({"runs": runs, "foretold": foretold}, indent=1))
+        request.json.write_text(json.dumps({"runs": runs, "foretold": foretold}, indent=1), encoding="utf-8")
     sys.stdout.write(report(runs, foretold))
 
 
@@ -118,7 +118,7 @@ def start(request: argparse.Namespace, extra: list[str], count: int, batch: int,
     threads = os.environ.get("OMP_NUM_THREADS", "1")
     environment = {**os.environ, "OMP_NUM_THREADS": threads, "NUMBA_NUM_THREADS": threads}
     subprocess.run(command, env=environment, check=True)
-    return json.loads(out.read_text())
+    return json.loads(out.read_text(encoding="utf-8"))
 
 
 def measure(request: argparse.Namespace, extra: list[str]) -> None:
@@ -163,7 +163,7 @@ def measure(request: argparse.Namespace, extra: list[str]) -> None:
             "sums": notes["sums"] / notes["steps"],
             "seconds_per_sum": per_sum,
         }
-        request.out.write_text(json.dumps(told))
+        request.out.write_text(json.dumps(told), encoding="utf-8")
     processes.close()
 
 

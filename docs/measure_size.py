@@ -37,7 +37,7 @@ def measured(revision: str) -> dict[str, int]:
 
 
 def sizes(tree: Path) -> dict[str, int]:
-    commands = re.search(r"\[project\.scripts\]\n(.*?)\n\n", (tree / "pyproject.toml").read_text(), re.DOTALL)
+    commands = re.search(r"\[project\.scripts\]\n(.*?)\n\n", (tree / "pyproject.toml").read_text("utf-8"), re.DOTALL)
     source = [path for name in SOURCE for path in (tree / name).rglob("*.py")]
     tests = list((tree / "tests").rglob("*.py"))
     found = {

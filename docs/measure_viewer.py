@@ -83,7 +83,7 @@ def measure(chosen: argparse.Namespace, folder: Path) -> dict[str, list[Block]]:
     total = chosen.warm_up + chosen.steps * len(order)
     # Blocks are of one stage: the first one's share is all of the run.
     config = parse([*words, "--steps", str(100 * total)])
-    (folder / "config.json").write_text(config_to_json(config))
+    (folder / "config.json").write_text(config_to_json(config), encoding="utf-8")
     port = _free_port()
     observers = [RecorderConfig().build(folder), ViserConfig(port=port).build(folder)]
     viewer = observers[1]

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from sculpt_framework.child_processes import die_with_parent
+from sculpt_framework.child_processes import INTERRUPT, die_with_parent
 from sculpt_framework.experiments.launching import as_interrupt, start_process
 
 GRACE_SECONDS = 25.0
@@ -32,7 +32,7 @@ def carry(command: Sequence[str], log: str, environment: Mapping[str, str]) -> i
         try:
             return _wait(process)
         except KeyboardInterrupt:
-            process.send_signal(signal.SIGINT)
+            process.send_signal(INTERRUPT)
             return _wait_or_kill(process)
         finally:
             if process.poll() is None:
@@ -58,7 +58,11 @@ def _wait_or_kill(process: subprocess.Popen[bytes]) -> int:
 @contextmanager
 def _heeding_interrupts() -> Iterator[None]:
     """Processes inherit which signals are blocked, and Ray's workers block SIGINT: a run would never hear of it. Of
-    SIGUSR2, which Slurm may send to all processes of a job and which would end a run, it is not to hear."""
+    SIGUSR2, which Slurm may send to all processes of a job and which would end a run, it is not to hear. Windows has
+    nothing of the kind."""
+    if sys.platform == "win32":
+        yield
+        return
     blocked = signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGUSR2})
     try:

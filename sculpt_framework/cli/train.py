@@ -12,6 +12,7 @@ from dataclasses import replace
 from sculpt_framework.cli import exit_codes
 from sculpt_framework.command_line.request import read_request
 from sculpt_framework.config import MethodConfig
+from sculpt_framework.cores import usable_cores
 from sculpt_framework.engine.clock import process_start
 from sculpt_framework.engine.output import check_output
 from sculpt_framework.errors import DeviceError
@@ -49,7 +50,7 @@ def limit_threads(threads: int | None) -> None:
         if threads is not None:
             os.environ[variable] = str(threads)
         else:
-            os.environ.setdefault(variable, os.environ.get("OMP_NUM_THREADS", str(_usable_cores())))
+            os.environ.setdefault(variable, os.environ.get("OMP_NUM_THREADS", str(usable_cores())))
 
 
 def check_device(config: MethodConfig) -> None:
@@ -70,12 +71,6 @@ def with_absolute_paths(config: MethodConfig) -> MethodConfig:
     data = os.path.abspath(config.data) if is_path else config.data
     reference, replay = (path and path.absolute() for path in (config.reference, config.replay))
     return replace(config, data=data, reference=reference, replay=replay)
-
-
-def _usable_cores() -> int:
-    if sys.platform == "linux":
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 if __name__ == "__main__":

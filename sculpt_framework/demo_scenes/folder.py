@@ -58,6 +58,8 @@ def write_scene(item: DemoObject, settings: DemoSettings, folder: Path, progress
         try:
             _write(item, settings, aside, progress or (lambda done, total: None))
             aside.chmod(0o755)
+            if folder.exists():
+                folder.rmdir()  # Windows renames to no name that is taken.
             aside.replace(folder)
         finally:
             shutil.rmtree(aside, ignore_errors=True)

@@ -3,7 +3,6 @@
 import os
 import signal
 import subprocess
-import sys
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
@@ -14,6 +13,7 @@ from types import FrameType
 from typing import IO
 
 from sculpt_framework.child_processes import INTERRUPT, OWN_GROUP, ending_with_parent
+from sculpt_framework.cores import usable_cores
 from sculpt_framework.errors import DeviceError, OutputError
 
 KILLED = -9
@@ -73,8 +73,7 @@ class LocalEngine(Engine):
         if cpus_per_run is not None:
             self._environment["OMP_NUM_THREADS"] = str(cpus_per_run)
         elif jobs > 1:
-            cores = len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
-            self._environment.setdefault("OMP_NUM_THREADS", str(max(1, cores // jobs)))
+            self._environment.setdefault("OMP_NUM_THREADS", str(max(1, usable_cores() // jobs)))
         self._gpus_per_run = gpus_per_run
         self._free: list[str] = visible_devices() if gpus_per_run else []
         if len(self._free) < jobs * gpus_per_run:

@@ -257,7 +257,7 @@ def _is_alive(process: int) -> bool:
     try:
         os.kill(process, 0)
         state = Path(f"/proc/{process}/stat")
-        return not state.exists() or state.read_text().rsplit(")", 1)[1].split()[0] not in "ZX"
+        return not state.exists() or state.read_text("utf-8", "replace").rsplit(")", 1)[1].split()[0] not in "ZX"
     except (ProcessLookupError, FileNotFoundError):
         return False
     except PermissionError:

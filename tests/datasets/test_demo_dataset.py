@@ -74,6 +74,21 @@ def test_writing_never_overwrites(demo_folder: Path, tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["empty", "file"]
 
 
+def test_an_empty_folder_is_written_where_names_that_are_taken_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse_taken(aside: Path, target: Path) -> Path:
+        """As Windows renames folders."""
+        if target.exists():
+            raise FileExistsError(target)
+        return aside.rename(target)
+
+    monkeypatch.setattr(Path, "replace", refuse_taken)
+    settings = DemoSettings(train_views=1, test_views=0, resolution=16, reference_cells=16)
+    write_scene(OBJECTS["blob"], settings, tmp_path)
+    assert (tmp_path / "gt_mesh.ply").is_file()
+
+
 def test_interrupted_writing_leaves_nothing(tmp_path: Path) -> None:
     def stop(done: int, total: int) -> None:
         raise KeyboardInterrupt

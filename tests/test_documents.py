@@ -68,6 +68,17 @@ def test_links_lead_somewhere(page: Path):
     assert [(path.name, place) for path, place in places if place and place not in headings(path)] == []
 
 
+def test_files_that_pages_and_messages_name_are_there():
+    named = re.compile(
+        r"(?<![\w./~-])(?:docs|docker|examples|tests|plugins|sculpt_framework|method_configs)/[\w./-]*\w"
+    )
+    code = [file for part in ("sculpt_framework", "plugins", "method_configs") for file in (ROOT / part).rglob("*.py")]
+    found = {(page.name, path) for page in (*PAGES, *code) for path in named.findall(page.read_text(encoding="utf-8"))}
+    missing = {path for _, path in found if not (ROOT / path).exists()}
+    # Words in capitals stand for any name, and a guide has readers write a plug-in of their own.
+    assert [each for each in sorted(found) if each[1] in missing and not re.search("[A-Z]{2}|/siren", each[1])] == []
+
+
 def test_headings_are_written_as_github_writes_them(tmp_path: Path):
     page = tmp_path / "page.md"
     page.write_text(

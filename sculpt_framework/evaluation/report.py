@@ -64,7 +64,7 @@ def _summary(metrics: Facts) -> str:
     final, certificate = metrics.get("final") or {}, metrics.get("certificate") or {}
     tiles = [("status", metrics.get("status"))]
     styles = {
-        "chamfer_ps": ("Chamfer, point to surface", "{:.3g}"),
+        "chamfer_ps": ("Chamfer distance, scene units", "{:.3g}"),
         "residual_px": ("residual between neighbouring views", "{:.2f} px"),
         "psnr": ("PSNR, held-out views", "{:.2f} dB"),
         "iou": ("mask IoU", "{:.4f}"),
@@ -145,35 +145,33 @@ def _plan(path: Path, events: Sequence[Facts]) -> list[tuple[str, str]]:
     tables = {}
     for part in ("decisions", "kept"):
         chosen = plan.get(part) or ()
-        tables[part] = grid_table(keys, [[_cell(decision.get(key)) for key in keys] for decision in chosen])
+        tables[part] = grid_table(
+            keys, [["" if decision.get(key) is None else fact(decision[key]) for key in keys] for decision in chosen]
+        )
     kept = f"<details><summary>looked at and kept</summary>{tables['kept']}</details>" if tables["kept"] else ""
     sections = [("Plan", tables["decisions"] + kept)]
     saved = savings(plan, events)
     if saved:
-        rows = [
-            [each.item, each.what, _cell(each.seconds, "{:.1f}"), _cell(each.megabytes, "{:.1f}")] for each in saved
-        ]
+        rows = [[each.item, each.what, _measured(each.seconds), _measured(each.megabytes)] for each in saved]
         note = (
-            "<p>Seconds are what this run's own inner steps took, times those it left out; empty where it never did"
-            " such a thing and so has no measure of it. What it changed: <code>sculpt-ablate --plan</code>.</p>"
+            "<p>Seconds are what this run's own inner steps took, times those it left out; not measured where it"
+            " never did such a thing. What it changed: <code>sculpt-ablate --plan</code>.</p>"
         )
         table = grid_table(("item", "left out", "seconds", "megabytes"), rows)
         sections.append(("What this scene did not need", table + note))
     return sections
 
 
-def _cell(value: object, style: str | None = None) -> str:
-    if value is None:
-        return ""
-    return fact(value) if style is None else style.format(value)
+def _measured(value: float | None) -> str:
+    return "not measured" if value is None else f"{value:.1f}"
 
 
 def _curves(curve: Sequence[CurveRow]) -> str:
-    """A chart per quantity that is known; scores between 0 and 1 share one."""
+    """A chart per quantity that is known, and below them which are not; scores between 0 and 1 share one."""
     charts = [
         ("Chamfer distance to the reference", {"chamfer_ps": "Chamfer"}, Axis(label="scene units (log)", log=True)),
         (
-            "Left between neighbouring views",
+            "Displacement between neighbouring views",
             {"residual_px": "median", "residual_p90_px": "90th percentile"},
             Axis(label="pixels (log)", log=True),
         ),
@@ -188,14 +186,15 @@ def _curves(curve: Sequence[CurveRow]) -> str:
         ("Size of the mesh", {"faces": "faces"}, Axis(label="triangles")),
         ("Peak memory", {"rss_mb": "memory"}, Axis(label="MiB")),
     ]
-    parts = []
+    parts, unknown = [], []
     for title, columns, axis in charts:
         series = [Series(name=name, points=_points(curve, column)) for column, name in columns.items()]
         if any(x > 0 and (y > 0 or not axis.log) for line in series for x, y in line.points):
             parts.append(line_chart(title, series, TIME, axis))
         else:
-            parts.append(f'<p class="unknown">{escape(title)}: not known for this run.</p>')
-    return f'<div class="charts">{"".join(parts)}</div>{_rows(curve)}' if curve else ""
+            unknown.append(title)
+    missing = f'<p class="unknown">Not known for this run: {escape("; ".join(unknown))}.</p>' if unknown else ""
+    return f'<div class="charts">{"".join(parts)}</div>{missing}{_rows(curve)}' if curve else ""
 
 
 def _rows(curve: Sequence[CurveRow]) -> str:
@@ -216,7 +215,7 @@ def _milestones(milestones: Sequence[Facts]) -> str:
     if not milestones or not shown:
         return ""
     rows = [
-        [f"{100 * row['share']:.0f} %", *("" if row.get(key) is None else f"{row[key]:.4g}" for key in shown)]
+        [f"{100 * row['share']:.0f} %", *("not known" if row.get(key) is None else f"{row[key]:.4g}" for key in shown)]
         for row in milestones
     ]
     return grid_table(["share of the run", *shown.values()], rows)
@@ -268,7 +267,7 @@ def _measures(final: Facts) -> str:
         # A score per threshold is a row of its own.
         parts = {f"{name} {at}": each for at, each in value.items()} if isinstance(value, Mapping) else {name: value}
         rows += [[part, fact(each), notes.get(part, "")] for part, each in parts.items()]
-    return grid_table(["measure", "value", ""], rows)
+    return grid_table(["measure", "value", "what it is"], rows)
 
 
 def _versions(metrics: Facts) -> Facts:

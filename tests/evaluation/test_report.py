@@ -55,7 +55,10 @@ def run_dir(tmp_path: Path) -> Path:
         "method": "sculpting",
         "seed": 3,
         "final": {**rows[-1], "ssim": None},
-        "milestones": [{"share": 0.25, "chamfer_ps": 0.0123, "psnr": 21.0, "iou": None}],
+        "milestones": [
+            {"share": 0.25, "chamfer_ps": 0.0123, "psnr": 21.0, "iou": None},
+            {"share": 0.5, "chamfer_ps": 0.0122, "psnr": 22.0, "iou": 0.9},
+        ],
         "certificate": asdict(certify(vertices, faces)),
         "versions": {"torch": "2.13", "numba": None},
     }
@@ -134,9 +137,16 @@ def test_the_plan_is_shown_where_there_is_one(run_dir: Path):
     text = Page(write_report(run_dir, {})).text
     for word in ("Plan", "evidence", "thin < 1 px", "--octree", "masks", "alpha"):
         assert word in text
+    assert text.splitlines().count("not measured") == 2, "seconds and megabytes that the octree would have taken"
     (run_dir / "plan.json").write_text("[")
     with pytest.raises(DataError, match=r"plan\.json is not valid JSON"):
         write_report(run_dir, {})
+
+
+def test_no_cell_of_the_shares_of_a_run_is_blank(run_dir: Path):
+    text = write_report(run_dir, {}).read_text(encoding="utf-8")
+    assert "<td>25 %</td><td>0.0123</td><td>21</td><td>not known</td>" in text
+    assert "<td>50 %</td><td>0.0122</td><td>22</td><td>0.9</td>" in text
 
 
 def test_nothing_is_loaded_from_elsewhere(run_dir: Path):
@@ -151,8 +161,15 @@ def test_a_run_without_reference_says_what_is_not_known(run_dir: Path):
     metrics = json.loads((run_dir / "metrics.json").read_text())
     metrics["final"]["chamfer_ps"] = None
     (run_dir / "metrics.json").write_text(json.dumps(metrics))
-    text = Page(write_report(run_dir, {})).text
-    assert "Chamfer distance to the reference: not known" in text
+    page = write_report(run_dir, {})
+    text = Page(page).text
+    charts = page.read_text(encoding="utf-8").partition('<div class="charts">')[2].partition("</div>")[0]
+    assert charts.count("<svg") == 1, "a chart of PSNR, and no empty place beside it"
+    assert 'class="unknown"' not in charts
+    (missing,) = (line for line in text.splitlines() if line.startswith("Not known for this run: "))
+    for name in ("Chamfer distance to the reference", "Displacement between neighbouring views", "Peak memory"):
+        assert name in missing
+    assert "PSNR" not in missing
     assert "There is no reference mesh: how far the surface is from the true one is not known" in text
 
 

@@ -1,8 +1,8 @@
 """The methods of the paper's tables at the size of their own papers: hours on a GPU, days on a CPU.
 
-Where a number is a paper's, its place is named; "program" is what its authors published. The papers were not at hand
-when this was written: check a place before it is cited. What is not named here is as in the method of the same name
-without ``-paper``, which says where that is from; cells of meshes and limits are ours.
+Where a number is a paper's, its place is named; "program" is what its authors published, in the file beside it. What is
+not named here is as in the method of the same name without ``-paper``, which says where that is from; cells of meshes
+and limits are ours.
 """
 
 from dataclasses import replace
@@ -25,13 +25,14 @@ from sculpt_plugins.methods.sugar.config import SugarConfig
 from sculpt_plugins.methods.volsdf.config import VolsdfConfig
 
 _FIELD = MlpFieldConfig(
-    hidden_layers=8,  # NeuS, supplementary: 8 layers of 256, a skip to the 4th; VolSDF, supplementary B.1: the same
+    # NeuS, program: confs/wmask.conf; all but the skip and the rate also 4.1. VolSDF, program: code/confs/dtu.conf.
+    hidden_layers=8,
     hidden_units=256,
     skip_layer=4,
-    frequencies=6,  # NeuS, supplementary; VolSDF, supplementary B.1
-    rate=5e-4,  # NeuS, supplementary; VolSDF, program
+    frequencies=6,
+    rate=5e-4,
 )
-_LENGTH = 30_000  # 3DGS 7.1; 2DGS, PGSR and GOF as it
+_LENGTH = 30_000  # 3DGS, 7.2; 2DGS, 6.2; PGSR, V; GOF, program: arguments/__init__.py
 
 SdfVolume = TypeVar("SdfVolume", bound=SdfVolumeConfig)
 FreeGaussians = TypeVar("FreeGaussians", bound=FreeGaussiansConfig)
@@ -57,9 +58,9 @@ def neus_paper() -> NeusConfig:
             method="neus-paper",
             steps=300_000,  # 4.1
             rays=512,  # 4.1
-            final_rate=0.05,  # supplementary: 5e-4 to 2.5e-5
-            sharpness=20.0,  # program: e^3
-            sharpness_rate=5e-4,  # supplementary: one rate for all
+            final_rate=0.05,  # program: confs/wmask.conf
+            sharpness=20.0,  # program: confs/wmask.conf, e^3
+            sharpness_rate=5e-4,  # program: exp_runner.py, one rate for all
         )
     )
 
@@ -70,9 +71,9 @@ def volsdf_paper() -> VolsdfConfig:
         replace(
             volume_rendered.volsdf(),
             method="volsdf-paper",
-            steps=100_000,  # supplementary B.2
-            final_rate=0.1,  # program
-            beta_rate=5e-4,  # program: one rate for all
+            steps=100_000,  # program: code/training/exp_runner.py, 2000 times each image; DTU has 49 or 64
+            final_rate=0.1,  # program: code/training/volsdf_train.py
+            beta_rate=5e-4,  # program: the same, one rate for all
         )
     )
 
@@ -84,7 +85,9 @@ def splatting_3d_paper() -> Splatting3dConfig:
 
 def splatting_2d_paper() -> Splatting2dConfig:
     """2D Gaussian splatting at the size of its paper; days, as it is drawn on the CPU."""
-    return _with_length(replace(splatting.splatting_2d(), method="splatting-2d-paper"))
+    small = splatting.splatting_2d()
+    density = replace(small.density, least_opacity=0.05)  # 6.1
+    return _with_length(replace(small, method="splatting-2d-paper", density=density))
 
 
 def pgsr_paper() -> PgsrConfig:
@@ -94,7 +97,7 @@ def pgsr_paper() -> PgsrConfig:
 
 def gof_paper() -> GofConfig:
     """Gaussian opacity fields at the size of their paper; days, as they are drawn on the CPU."""
-    return _with_length(replace(splatting.gof(), method="gof-paper", mesh_gaussians=10_000_000))  # 3.4: all
+    return _with_length(replace(splatting.gof(), method="gof-paper", mesh_gaussians=10_000_000))  # program: all
 
 
 def sugar_paper() -> SugarConfig:
@@ -104,32 +107,37 @@ def sugar_paper() -> SugarConfig:
         replace(
             small,
             method="sugar-paper",
-            samples=1_000_000,  # program
-            poisson=replace(small.poisson, points=10_000_000, depth=10),  # program
+            samples=1_000_000,  # program: sugar_trainers/coarse_sdf.py
+            # Program: sugar_extractors/coarse_mesh.py; the depth also 5.1.
+            poisson=replace(small.poisson, points=10_000_000, depth=10),
         ),
-        steps=15_000,  # 5, before the refinement
+        steps=15_000,  # 5.1, before the refinement
     )
 
 
 def relightable_paper() -> RelightableConfig:
     """Relightable 3D Gaussian at the size of its program; for a GPU."""
     small = splatting.relightable()
-    density = replace(small.density, end=0.25)  # program: step 10 000
-    return _with_length(replace(small, method="relightable-paper", density=density), steps=40_000)  # program
+    density = replace(small.density, end=0.25)  # program: arguments/__init__.py, step 10 000
+    return _with_length(
+        replace(small, method="relightable-paper", density=density),
+        steps=40_000,  # program: script/run_nerf.sh; script/run_dtu.sh: 50 000
+    )
 
 
 def gaussians_3dgsr_paper() -> Gaussians3dgsrConfig:
-    """3DGSR at the length of 3DGS; for a GPU."""
+    """3DGSR at the length of 3DGS (place not checked); for a GPU."""
     long = _with_length(replace(guided.gaussians_3dgsr(), method="3dgsr-paper"))
     return replace(long, density=replace(long.density, reset_every=0))  # opacities follow the field
 
 
 def gsdf_paper() -> GsdfConfig:
-    """GSDF at the size of its program; for a GPU."""
+    """GSDF at the size of its paper; for a GPU."""
     small = guided.gsdf()
     return _with_length(
-        replace(small, method="gsdf-paper", guidance=replace(small.guidance, samples=64)),  # program
-        steps=45_000,  # program
+        # Program: configs/dtu.
+        replace(small, method="gsdf-paper", guidance=replace(small.guidance, samples=64)),
+        steps=45_000,  # 4.1
     )
 
 
@@ -142,16 +150,16 @@ def _with_length(small: FreeGaussians, *, steps: int = _LENGTH) -> FreeGaussians
     return replace(
         small,
         steps=steps,
-        gaussians=100_000,  # 3DGS, program: so many without points
-        sh_every=1000,  # 3DGS, 5.1
+        gaussians=100_000,  # 3DGS, 7.2: so many without points
+        sh_every=1000,  # 3DGS, 7.1
         density=replace(
             small.density,
-            begin=500 / steps,  # 3DGS, program
-            end=min(0.5, small.density.end),  # 3DGS, program: step 15 000 of 30 000
+            begin=500 / steps,  # 3DGS, program: arguments/__init__.py
+            end=min(0.5, small.density.end),  # the same: step 15 000 of 30 000
             most=10_000_000,  # no paper has a limit
             reset_every=3000,  # 3DGS, 5.2
         ),
-        # 3DGS, program: 1.6e-4 times the cameras' spread, here of some four object units.
+        # 3DGS, program: the same; 1.6e-4 times the cameras' spread, here of some four object units.
         rates=replace(small.rates, means=6.4e-4),
         mesh_cells=512,
     )

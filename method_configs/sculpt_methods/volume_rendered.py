@@ -1,7 +1,8 @@
 """Methods of the paper's tables that render a volume along rays, in a size that suits a CPU.
 
-Where a number is a paper's, its place is named; learning rates, rays and steps are ours: those papers train for a
-hundred thousand steps and more on a GPU.
+Where a number is a paper's, its place is named; "program" is what its authors published. Learning rates, rays and
+steps are ours: those papers train for a hundred thousand steps and more on a GPU. Programs: ``confs/wmask.conf`` of
+NeuS, ``code/confs/dtu.conf`` of VolSDF.
 """
 
 from sculpt_framework.volume_rendering.config import RadianceConfig
@@ -36,9 +37,9 @@ def neus() -> NeusConfig:
     return NeusConfig(
         method="neus",
         steps=_STEPS,
-        eikonal_weight=0.1,  # 4.1, lambda
-        mask_weight=0.1,  # 4.1, beta, with masks
-        sharpness=60.0,  # program: 20; ours is not as far from sharp in a hundredth of the steps
+        eikonal_weight=0.1,  # program: igr_weight; 3.2, lambda
+        mask_weight=0.1,  # program; 3.2, beta, with masks
+        sharpness=60.0,  # program: e^3, about 20; ours is not as far from sharp in a hundredth of the steps
         sharpness_rate=3e-3,
         field=HashGridFieldConfig(rate=_FIELD_RATE),
         extractor=MarchingTetrahedraConfig(),
@@ -52,11 +53,11 @@ def volsdf() -> VolsdfConfig:
     return VolsdfConfig(
         method="volsdf",
         steps=_STEPS,
-        rays=1024,  # supplementary B.2
+        rays=1024,  # 3.5
         mask_weight=0.0,  # it has no such term
-        beta=0.1,  # supplementary B.1
+        beta=0.1,  # program
         beta_rate=2e-2,
-        eikonal_weight=0.1,  # 3.4, lambda
+        eikonal_weight=0.1,  # 3.5, lambda
         field=HashGridFieldConfig(rate=_FIELD_RATE),
         extractor=MarchingTetrahedraConfig(),
         dataset=AutoDatasetConfig(),

@@ -51,7 +51,7 @@ class OpacityGuide(Guide):
 
 
 def bell(sdf: Float[Tensor, " n"], beta: Float[Tensor, ""]) -> Float[Tensor, " n"]:
-    """4 e^(-beta f) / (1 + e^(-beta f))^2, f the signed distance (paper, 4.1, Phi_beta), scaled to 1 at 0.
+    """4 e^(-beta f) / (1 + e^(-beta f))^2, f the signed distance (paper, Phi_beta), scaled to 1 at 0.
 
     As the squared secant of beta f / 2, by e^(-|beta f|), which is finite however far away: 0 there, without gradient.
     """

@@ -1,4 +1,4 @@
-"""What GOF learns from: colours, and Gaussians that lie on one surface (Yu et al. 2024, 3.3)."""
+"""What GOF learns from: colours, and Gaussians that lie on one surface (Yu et al. 2024)."""
 
 from jaxtyping import Float
 from torch import Tensor

@@ -1,4 +1,4 @@
-"""The opacity of places: the least that any training view has up to them (Yu et al. 2024, 3.2)."""
+"""The opacity of places: the least that any training view has up to them (Yu et al. 2024, eq. 10)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""A level of the opacity field in tetrahedra that have their corners at Gaussians (Yu et al. 2024, 3.4)."""
+"""A level of the opacity field in tetrahedra that have their corners at Gaussians (Yu et al. 2024)."""
 
 from collections.abc import Sequence
 
@@ -18,7 +18,7 @@ from sculpt_plugins.methods.gof.config import GofConfig
 from sculpt_plugins.methods.gof.opacity_field import OpacityField
 
 _REACH = 3.0
-"""Standard deviations from the centre of a Gaussian to the sides of its box (3.4)."""
+"""Standard deviations from the centre of a Gaussian to the sides of its box (program)."""
 _ROOM = 2.0
 """Half sides of the grid: there are corners, all outside, around everything."""
 _JITTER = 1e-5

@@ -20,7 +20,7 @@ from sculpt_plugins.methods.pgsr.planes import PlaneMaps, depths_of, match_plane
 _COVERED = 0.5
 """Opacity of a pixel below which it is of no plane."""
 _NEIGHBOURS = 8
-"""Views, nearest first, of which one is taken to compare with (paper, 4.1)."""
+"""Views, nearest first, of which one is taken to compare with (program)."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -48,7 +48,7 @@ class PlaneDrawing(Drawing):
         return self._draw(gaussians, camera, background).rendering
 
     def _draw(self, gaussians: Gaussians, camera: Camera, background: Float[Tensor, " 3"]) -> Drawn:
-        """Depth is that at which rays meet the mean plane, where a pixel is covered: unbiased (paper, eq. 5)."""
+        """Depth is that at which rays meet the mean plane, where a pixel is covered: unbiased (paper, eq. 4)."""
         pose = camera.world_to_camera.to(gaussians.means)
         normals = gaussians.rotations[:, :, 0] @ pose[:3, :3].T
         local = gaussians.means @ pose[:3, :3].T + pose[:3, 3]
@@ -77,7 +77,7 @@ class PlaneDrawing(Drawing):
         config, drawn = self._config, self._draw(gaussians, lesson.camera, lesson.background)
         terms = {"color": l1_dssim(drawn.rendering.rgb, lesson.target.rgb, config.dssim)}
         if config.flatness > 0:
-            # Their first column is along the smallest (paper, eq. 2).
+            # Their first column is along the smallest (paper, eq. 1).
             terms["flatness"] = config.flatness * gaussians.scales[:, 0].mean()
         if lesson.progress < config.planes_from:
             return terms
@@ -97,7 +97,7 @@ class PlaneDrawing(Drawing):
 
 def single_view(maps: PlaneMaps, camera: Camera, rgb: Float[Tensor, "h w 3"]) -> Float[Tensor, ""]:
     """Mean over the image of (1 - |grad I|)^2 |N_d - N|_1, 0 where no plane is; |grad I| as a share of the largest
-    (paper, eq. 9)."""
+    (paper, eq. 6)."""
     grey = rgb.mean(dim=2)
     across, down = grey[1:-1, 2:] - grey[1:-1, :-2], grey[2:, 1:-1] - grey[:-2, 1:-1]
     slope = (across.square() + down.square()).sqrt()

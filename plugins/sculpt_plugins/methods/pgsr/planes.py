@@ -1,4 +1,4 @@
-"""Planes per pixel: their depths, and how well they match another view (Chen et al. 2024, 4.2)."""
+"""Planes per pixel: their depths, and how well they match another view (Chen et al. 2024, IV-B)."""
 
 from dataclasses import dataclass
 
@@ -12,11 +12,11 @@ from sculpt_framework.rendering.depth_normals import pixel_rays, rays_through
 from sculpt_framework.types import Camera
 
 _HALF = 3
-"""Pixels on each side of a patch: seven by seven (paper, 4.2.2)."""
+"""Pixels on each side of a patch: seven by seven (program; eleven by eleven in one version of IV-B)."""
 _STEEPEST = 1e-3
 """Cosine between ray and plane below which the plane has no depth."""
 _WORST_PIXELS = 1.0
-"""A point that misses itself by more is hidden in the other view (paper, eq. 11)."""
+"""A point that misses itself by more is hidden in the other view (program)."""
 _EVEN = 1e-6
 """Variance of a patch, of grey in [0, 1], that counts as none."""
 

@@ -137,7 +137,7 @@ class RelightableDrawing(Drawing):
         )
 
     def _shaded(self, gaussians: Gaussians, normals: Float[Tensor, "g 3"], lesson: Lesson) -> Float[Tensor, "g 3"]:
-        """sRGB of each Gaussian, as its material and the light make it (paper, 3.2: shading before splatting)."""
+        """sRGB of each Gaussian, as its material and the light make it (paper: shading before splatting)."""
         own = lesson.own
         linear = shade(
             normals,
@@ -151,7 +151,7 @@ class RelightableDrawing(Drawing):
 
 
 def normal_difference(normal: Float[Tensor, "h w 3"], depth: Float[Tensor, "h w"], camera: Camera) -> Float[Tensor, ""]:
-    """Mean over the image and the axes of (N - N_d)^2, N_d of the depths (paper, 3.1); 0 where a depth of 0 says that
+    """Mean over the image and the axes of (N - N_d)^2, N_d of the depths; 0 where a depth of 0 says that
     nothing is.
 
     ``normal`` is in the frame that the camera is in.

@@ -1,4 +1,4 @@
-"""What light from afar makes of a place with a normal and a material (Gao et al. 2024, 3.2, simplified).
+"""What light from afar makes of a place with a normal and a material (Gao et al. 2024, simplified).
 
 The light is a sum of real spherical harmonics, so that the integrals over directions are sums over its bands:
 
@@ -20,7 +20,7 @@ LIGHT_DEGREE = 3
 _IRRADIANCE = (math.pi, 2 * math.pi / 3, math.pi / 4, 0.0)
 """What each band of the light counts in the irradiance."""
 _F0 = 0.04
-"""Reflectance of what conducts no current, seen straight on (paper, 3.2)."""
+"""Reflectance of what conducts no current, seen straight on (place not checked)."""
 _KNEE = 0.0031308
 """Of the sRGB curve, which is straight below it."""
 

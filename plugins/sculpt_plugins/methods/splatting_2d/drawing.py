@@ -1,4 +1,4 @@
-"""What 2DGS learns from: colours, and disks that lie on one surface (Huang et al. 2024, 4.2)."""
+"""What 2DGS learns from: colours, and disks that lie on one surface (Huang et al. 2024, 5)."""
 
 from dataclasses import replace
 

@@ -19,7 +19,7 @@ class VolsdfConfig(SdfVolumeConfig):
     beta_rate: Annotated[float, at_least(0)] = 1e-3
     """Learning rate of its logarithm."""
     least_beta: Annotated[float, above(0)] = 1e-4
-    """What is added to it (paper, supplementary B.1)."""
+    """What is added to it (program, ``code/confs/dtu.conf``)."""
 
     def build_volume(self) -> "VolsdfVolume":
         from sculpt_plugins.methods.volsdf.volume import VolsdfVolume

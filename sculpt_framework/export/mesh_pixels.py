@@ -69,9 +69,9 @@ def draw_mesh(vertices: Vertices, faces: Faces, camera: Camera, *, closed: bool 
     A surface known to be ``closed``, seen from outside, is drawn in less time.
     """
     local = camera.local(vertices)
-    before = local[:, 2] > 0
-    inverse = np.where(before, 1 / np.where(before, local[:, 2], 1), 0)
-    places = np.where(before[:, None], camera.pixels(local), 0)
+    before, places = local[:, 2] > 0, camera.pixels(local)
+    inverse = 1 / np.where(before, local[:, 2], np.inf)
+    places[~before] = 0
     return draw_triangles(places, inverse, faces, camera.width, camera.height, closed=closed)
 
 

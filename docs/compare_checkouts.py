@@ -93,7 +93,7 @@ def compare_times(checkouts: Sequence[Path], data: str, times: int) -> None:
         for checkout, spent in both if turn % 2 == 0 else reversed(both):
             words = [sys.executable, "-c", STEPPING, data, str(STEPS)]
             environment = {**environment_of(checkout), **single}
-            done = subprocess.run(words, env=environment, capture_output=True, text=True, check=True)
+            done = subprocess.run(words, env=environment, capture_output=True, text=True, check=True, encoding="utf-8")
             spent.append(json.loads(done.stdout.splitlines()[-1])[-TIMED:])
     first, other = (sum(min(each) for each in zip(*spent, strict=True)) for spent in found)
     sys.stdout.write(f"{TIMED} steps: {first:.2f} and {other:.2f} s of CPU, ratio {other / first:.3f}\n")

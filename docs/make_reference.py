@@ -76,7 +76,7 @@ def all_words() -> Iterator[tuple[str, ...]]:
 def help_of(words: tuple[str, ...]) -> str:
     environment = {**os.environ, "COLUMNS": str(WIDTH), "TERM": "dumb", "NO_COLOR": "1"}
     command = [sys.executable, "-m", "sculpt_framework.cli.sculpt", *words, "--help"]
-    done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
+    done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment, encoding="utf-8")
     return done.stdout.strip()
 
 

@@ -52,7 +52,7 @@ def main() -> None:
 
 
 def once() -> list[float]:
-    done = subprocess.run([sys.executable, "-c", SCRIPT], check=True, capture_output=True, text=True)
+    done = subprocess.run([sys.executable, "-c", SCRIPT], check=True, capture_output=True, text=True, encoding="utf-8")
     return json.loads(done.stdout)
 
 

@@ -64,7 +64,9 @@ def options(tree: Path, asked: str) -> int:
     path = ":".join(str(tree / part) for part in ("", "plugins", "method_configs"))
     command = [sys.executable, "-c", ASKED, "gaussian-sculpting", asked]
     environment = {"PYTHONPATH": path, "PYTHONSAFEPATH": "1", "COLUMNS": "300", "TERM": "dumb", "PATH": ""}
-    said = subprocess.run(command, capture_output=True, text=True, check=False, env=environment, cwd=tree).stdout
+    said = subprocess.run(
+        command, capture_output=True, text=True, check=False, env=environment, cwd=tree, encoding="utf-8"
+    ).stdout
     return len(set(re.findall(r"│ (--[a-z][\w.-]*)", said)))
 
 

@@ -14,7 +14,7 @@ def source(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setattr(numba.config, "CACHE_DIR", "")
     file = tmp_path / "kernels.py"
-    file.write_text("x = 1\n")
+    file.write_text("x = 1\n", encoding="utf-8")
     return file
 
 
@@ -27,7 +27,7 @@ def test_every_state_of_the_source_has_its_folder(source: Path):
     first = _folder(source)
     assert first.startswith(str(source.parent / "cache" / "gaussian-sculpting"))
     assert _folder(source) == first
-    source.write_text("x = 2\n")
+    source.write_text("x = 2\n", encoding="utf-8")
     assert _folder(source) != first
     assert numba.config.CACHE_DIR == ""
 
@@ -35,7 +35,7 @@ def test_every_state_of_the_source_has_its_folder(source: Path):
 def test_what_kernels_share_counts_as_well(source: Path):
     shared, folders = source.with_name("shared.py"), []
     for text in ("y = 1\n", "y = 2\n"):
-        shared.write_text(text)
+        shared.write_text(text, encoding="utf-8")
         with kernel_cache("tests", source, shared):
             folders.append(numba.config.CACHE_DIR)
     assert len({*folders, _folder(source)}) == 3
@@ -57,7 +57,7 @@ def test_says_once_that_it_compiles(source: Path, caplog: pytest.LogCaptureFixtu
 
 def test_a_home_that_cannot_be_written_is_replaced(source: Path, monkeypatch: pytest.MonkeyPatch):
     blocked = source.parent / "file"
-    blocked.write_text("")
+    blocked.write_text("", encoding="utf-8")
     monkeypatch.setenv("XDG_CACHE_HOME", str(blocked))
     assert not _folder(source).startswith(str(blocked))
 

@@ -21,7 +21,7 @@ PAGES = sorted(
 
 def test_the_tables_of_choices_are_those_of_the_code():
     command = [sys.executable, ROOT / "docs" / "make_tables.py", "--check"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False, encoding="utf-8")
     assert done.returncode == 0, done.stderr
 
 

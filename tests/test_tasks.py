@@ -22,7 +22,13 @@ def test_the_tasks_can_be_done_as_the_page_says(tmp_path: Path):
     for language, block in blocks:
         command = ["bash", "-ec", block] if language == "sh" else [sys.executable, "-c", block]
         done = subprocess.run(
-            command, cwd=tmp_path, env=os.environ | {"PATH": path}, capture_output=True, text=True, check=False
+            command,
+            cwd=tmp_path,
+            env=os.environ | {"PATH": path},
+            capture_output=True,
+            text=True,
+            check=False,
+            encoding="utf-8",
         )
         assert done.returncode == 0, block + done.stderr
     for name in (*MADE, "compared/report.html"):

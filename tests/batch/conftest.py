@@ -43,4 +43,4 @@ def plain_environment() -> dict[str, str]:
 def started(folder: Path) -> list[str]:
     """The command lines that were started in a batch's folder."""
     path = folder / "started.txt"
-    return path.read_text().splitlines() if path.exists() else []
+    return path.read_text(encoding="utf-8").splitlines() if path.exists() else []

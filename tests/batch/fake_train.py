@@ -31,7 +31,9 @@ def main() -> None:
     name = folder.name
     sys.stdout.write(f"threads {os.environ.get('OMP_NUM_THREADS')} devices {os.environ.get('CUDA_VISIBLE_DEVICES')}\n")
     sys.stdout.flush()
-    (folder / "config.json").write_text(json.dumps({"method": "gaussian-sculpting-tiny", "data": name, "seed": 0}))
+    (folder / "config.json").write_text(
+        json.dumps({"method": "gaussian-sculpting-tiny", "data": name, "seed": 0}), encoding="utf-8"
+    )
     if name.startswith("broken"):
         sys.stderr.write("error: the data are no good\n")
         sys.exit(2)
@@ -52,15 +54,19 @@ def wait_for_interrupt(folder: Path) -> None:
         sys.exit(0)
 
     signal.signal(signal.SIGINT, stop)
-    (folder / "ready").write_text(str(os.getpid()))
+    (folder / "ready").write_text(str(os.getpid()), encoding="utf-8")
     time.sleep(60)
 
 
 def finish(folder: Path, status: str) -> None:
     final = {"chamfer_ps": 0.01, "psnr": 30.0, "fscore": 0.5, "faces": 1000, "outer": 7, "t_train_s": 3.0}
     (folder / "mesh.ply").touch()
-    (folder / "curve.csv").write_text(CURVE + "3,4,5,7,28,1000,1000,32,100,30,0.9,0.95,0.01,0.5,0.99,0.1\n")
-    (folder / "metrics.json").write_text(json.dumps({"status": status, "final": final, "scene": folder.name}))
+    (folder / "curve.csv").write_text(
+        CURVE + "3,4,5,7,28,1000,1000,32,100,30,0.9,0.95,0.01,0.5,0.99,0.1\n", encoding="utf-8"
+    )
+    (folder / "metrics.json").write_text(
+        json.dumps({"status": status, "final": final, "scene": folder.name}), encoding="utf-8"
+    )
 
 
 if __name__ == "__main__":

@@ -52,7 +52,14 @@ def test_failures_are_isolated_and_named_and_nothing_is_done_twice(
     folder, out = make_scenes("apple", "broken-bowl", "killed-cup", "mug"), tmp_path / "out"
     command = with_fake(str(folder), TINY, "--out", str(out), *ENGINES[engine])
     done = subprocess.run(
-        command, capture_output=True, text=True, timeout=120, check=False, env=plain_environment(), cwd=tmp_path
+        command,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+        env=plain_environment(),
+        cwd=tmp_path,
+        encoding="utf-8",
     )
     assert done.returncode == 1, done.stderr
     assert "killed-cup failed: killed by SIGKILL; it is tried again, 0 tries left" in done.stdout
@@ -60,12 +67,12 @@ def test_failures_are_isolated_and_named_and_nothing_is_done_twice(
     assert "3 of 4 scenes finished, 1 failed." in done.stdout
     assert done.stderr.startswith("error: 1 of 4 scenes failed: broken-bowl: the data are no good.")
     assert sorted(path.parent.name for path in out.glob("runs/*/mesh.ply")) == ["apple", "killed-cup", "mug"]
-    assert "threads 1 " in (out / "runs" / "mug.log").read_text()
-    page = (out / "report" / "report.html").read_text()
+    assert "threads 1 " in (out / "runs" / "mug.log").read_text(encoding="utf-8")
+    page = (out / "report" / "report.html").read_text(encoding="utf-8")
     assert "killed-cup" in page
     assert "the data are no good" in page
-    assert "| broken-bowl | the data are no good |" in (out / "tables.md").read_text()
-    states = json.loads((out / "state.json").read_text())["cells"]
+    assert "| broken-bowl | the data are no good |" in (out / "tables.md").read_text(encoding="utf-8")
+    states = json.loads((out / "state.json").read_text(encoding="utf-8"))["cells"]
     assert {name: (state["status"], state["attempts"]) for name, state in states.items()} == {
         "apple": ("finished", 1),
         "broken-bowl": ("failed", 1),
@@ -120,10 +127,12 @@ def test_an_interrupt_lets_runs_save_wherever_they_are(engine: str, make_scenes:
         output, _ = first.communicate(timeout=90)
     assert first.returncode == 130, output
     assert b"interrupted; the same command goes on" in output
-    assert json.loads((out / "runs" / "waits" / "metrics.json").read_text())["status"] == "stopped"
+    assert json.loads((out / "runs" / "waits" / "metrics.json").read_text(encoding="utf-8"))["status"] == "stopped"
     if engine != "local":
         return  # how it goes on is the same for all
-    done = subprocess.run(command, env=plain_environment(), capture_output=True, text=True, timeout=90, check=False)
+    done = subprocess.run(
+        command, env=plain_environment(), capture_output=True, text=True, timeout=90, check=False, encoding="utf-8"
+    )
     assert done.returncode == 0, done.stderr
     assert "waits goes on from its checkpoint" in done.stdout
 
@@ -133,10 +142,10 @@ def test_no_run_goes_on_when_the_batch_is_killed(make_scenes: MakeScenes, tmp_pa
     folder, out = make_scenes("waits"), tmp_path / "out"
     ready = out / "runs" / "waits" / "ready"
     with subprocess.Popen(with_fake(str(folder), TINY, "--out", str(out)), env=plain_environment()) as first:
-        wait_for(lambda: ready.exists() and ready.read_text() != "", first)
+        wait_for(lambda: ready.exists() and ready.read_text(encoding="utf-8") != "", first)
         first.kill()
     deadline = time.monotonic() + 20
-    while Path(f"/proc/{ready.read_text()}").exists():
+    while Path(f"/proc/{ready.read_text(encoding='utf-8')}").exists():
         assert time.monotonic() < deadline
         time.sleep(0.05)
 
@@ -158,7 +167,7 @@ def test_gpus_are_given_to_one_run_at_a_time(monkeypatch: pytest.MonkeyPatch, tm
         jobs = [engine.start(order) for order in pair]
         while any(job.poll() is None for job in jobs):
             time.sleep(0.01)
-        assert {order.log.read_text() for order in pair} == {"3,5\n", "GPU-7,8\n"}
+        assert {order.log.read_text(encoding="utf-8") for order in pair} == {"3,5\n", "GPU-7,8\n"}
     with pytest.raises(DeviceError, match="3 runs at a time with 2 CUDA devices each need 6; there are 4 here"):
         LocalEngine(3, gpus_per_run=2)
 
@@ -182,7 +191,7 @@ def test_a_run_of_several_gpus_has_a_process_for_each(make_scenes: MakeScenes, m
 def test_a_carrier_reports_how_the_run_ended(tmp_path: Path):
     log = tmp_path / "run.log"
     assert carry((sys.executable, "-S", "-c", "import os; print(os.environ['HERE'])"), str(log), {"HERE": "x"}) == 0
-    assert log.read_text() == "x\n"
+    assert log.read_text(encoding="utf-8") == "x\n"
     assert carry((sys.executable, "-S", "-c", "import os; os.kill(os.getpid(), 9)"), str(log), {}) == KILLED
 
 
@@ -194,7 +203,7 @@ def test_a_run_hears_of_interrupts_though_its_worker_blocks_them(tmp_path: Path)
         assert signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ())
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
-    assert log.read_text() == "False\n"
+    assert log.read_text(encoding="utf-8") == "False\n"
 
 
 SAVES = """
@@ -228,7 +237,7 @@ def test_a_run_saves_before_the_time_of_its_job_is_over(tmp_path: Path):
         assert signal.getsignal(signal.SIGUSR2) is submitit
     finally:
         signal.signal(signal.SIGUSR2, before)
-    assert log.read_text() == "deaf\nsaved\n"
+    assert log.read_text(encoding="utf-8") == "deaf\nsaved\n"
 
 
 @pytest.mark.parametrize(
@@ -278,16 +287,18 @@ def test_a_job_that_slurm_refuses_is_one_line(
     needed_for("slurm")
     (tmp_path / "bin").mkdir()
     for name in ("sbatch", "srun"):
-        (tmp_path / "bin" / name).write_text(SBATCH)
+        (tmp_path / "bin" / name).write_text(SBATCH, encoding="utf-8")
         (tmp_path / "bin" / name).chmod(0o755)
     monkeypatch.setenv("PATH", str(tmp_path / "bin"), prepend=":")
     words = [str(make_scenes("mug")), TINY, "--out", "out", "--engine", "slurm", "--slurm", "partition=moon"]
     with pytest.raises(ConfigError, match=r"sbatch takes no job \(.*partition specified: moon.*; mend --slurm"):
         batch(words)
     assert capsys.readouterr().err == ""
-    assert json.loads((tmp_path / "out" / "state.json").read_text())["cells"]["mug"]["status"] == "pending"
+    assert (
+        json.loads((tmp_path / "out" / "state.json").read_text(encoding="utf-8"))["cells"]["mug"]["status"] == "pending"
+    )
     # What it would have been: tried again by the batch alone, and asked to save before its time is over.
-    script = (tmp_path / "bin" / "script").read_text()
+    script = (tmp_path / "bin" / "script").read_text(encoding="utf-8")
     assert "#SBATCH --no-requeue\n" in script
     assert "#SBATCH --signal=USR2@90\n" in script
 
@@ -315,6 +326,8 @@ def test_help_imports_nothing_heavy():
         "try:\n    main()\nfinally:\n    heavy = {'torch', 'numpy', 'ray', 'submitit', 'viser', 'scipy'}\n"
         "    sys.stderr.write(','.join(sorted(heavy & set(sys.modules))))"
     )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False, encoding="utf-8"
+    )
     assert (done.returncode, done.stderr) == (0, "")
     assert "SCENE_DIR_OR_LIST" in done.stdout

@@ -24,7 +24,7 @@ def test_a_folder_stands_for_the_folders_in_it(make_scenes: MakeScenes):
 def test_a_list_has_a_scene_per_line_relative_to_itself(make_scenes: MakeScenes, monkeypatch: pytest.MonkeyPatch):
     folder = make_scenes("mug", "apple", "more/mug")
     text = "# fruit\n\napple\n  mug  \nmore/mug\ndemo:blob\n"
-    (folder / "list.txt").write_text(text)
+    (folder / "list.txt").write_text(text, encoding="utf-8")
     monkeypatch.chdir("/")
     scenes = find_scenes(str(folder / "list.txt"))
     assert [scene.label for scene in scenes] == ["apple", "mug", "mug-2", "blob"]
@@ -35,9 +35,9 @@ def test_a_list_has_a_scene_per_line_relative_to_itself(make_scenes: MakeScenes,
 def test_mistakes(make_scenes: MakeScenes, tmp_path: Path):
     folder = make_scenes("mug", "one/train")
     (folder / "one" / "transforms_train.json").touch()
-    (folder / "empty.txt").write_text("# none\n")
-    (folder / "twice.txt").write_text("mug\nmug\n")
-    (folder / "gone.txt").write_text("mug\npear\n")
+    (folder / "empty.txt").write_text("# none\n", encoding="utf-8")
+    (folder / "twice.txt").write_text("mug\nmug\n", encoding="utf-8")
+    (folder / "gone.txt").write_text("mug\npear\n", encoding="utf-8")
     (folder / "picture.txt").write_bytes(b"\xff\xfe\x00")
     for given, message in (
         (tmp_path / "nowhere", "no such folder or file"),

@@ -39,7 +39,7 @@ def scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_scene(demo_object("blob"), settings, first)
     for number in range(1, 12):
         shutil.copytree(first, folder / f"scan-{number:02d}")
-    (folder / "scan-07" / "transforms_train.json").write_text("{")
+    (folder / "scan-07" / "transforms_train.json").write_text("{", encoding="utf-8")
     return folder
 
 
@@ -56,7 +56,7 @@ def process_of(run: Path) -> int | None:
 
 
 def parent_of(process: int) -> int:
-    return int(Path(f"/proc/{process}/stat").read_text().rsplit(")", 1)[1].split()[1])
+    return int(Path(f"/proc/{process}/stat").read_text(encoding="utf-8").rsplit(")", 1)[1].split()[1])
 
 
 @pytest.mark.parametrize("engine", ENGINES)
@@ -68,7 +68,7 @@ def test_eleven_meshes_one_named_failure_and_nothing_twice(engine: str, scans: P
     words = (str(scans), "gaussian-sculpting-tiny", "--out", str(out), "--retries", "1", *ENGINES[engine])
     command = [sys.executable, "-m", "sculpt_framework.cli.batch", *words, "--", *SMALL]
     with subprocess.Popen(
-        command, env=plain_environment(), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+        command, env=plain_environment(), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, encoding="utf-8"
     ) as process:
         victim = out / "runs" / "scan-03"
         while not (victim / "checkpoints" / "latest.safetensors").exists():
@@ -86,14 +86,16 @@ def test_eleven_meshes_one_named_failure_and_nothing_twice(engine: str, scans: P
     assert "error: 1 of 12 scenes failed: scan-07:" in output
     meshes = sorted(out.glob("runs/*/mesh.ply"))
     assert [path.parent.name for path in meshes] == [f"scan-{number:02d}" for number in range(12) if number != 7]
-    page = (out / "report" / "report.html").read_text()
+    page = (out / "report" / "report.html").read_text(encoding="utf-8")
     assert all(path.parent.name in page for path in meshes)
 
-    states = json.loads((out / "state.json").read_text())["cells"]
+    states = json.loads((out / "state.json").read_text(encoding="utf-8"))["cells"]
     assert states["scan-03"]["attempts"] == 2
     written = {path: path.stat().st_mtime_ns for path in meshes}
-    again = subprocess.run(command, env=plain_environment(), capture_output=True, text=True, timeout=300, check=False)
+    again = subprocess.run(
+        command, env=plain_environment(), capture_output=True, text=True, timeout=300, check=False, encoding="utf-8"
+    )
     assert again.returncode == 1
     assert "12 of 12 runs were done before, 1 of them failed" in again.stdout
     assert {path: path.stat().st_mtime_ns for path in meshes} == written
-    assert json.loads((out / "state.json").read_text())["cells"] == states
+    assert json.loads((out / "state.json").read_text(encoding="utf-8"))["cells"] == states

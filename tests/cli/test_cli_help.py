@@ -84,7 +84,9 @@ def test_help_imports_nothing_heavy(words: str):
         "finally:\n"
         f"    sys.stderr.write(','.join(sorted(set({HEAVY!r}) & set(sys.modules))))"
     )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False, encoding="utf-8"
+    )
     assert (done.returncode, done.stderr) == (0, "")
     assert "usage: sculpt-train" in done.stdout
 
@@ -102,6 +104,6 @@ def test_a_reader_that_closes_early_gets_no_traceback():
 
 def test_the_console_script_is_installed():
     script = Path(sys.executable).with_name("sculpt-train")
-    done = subprocess.run([script, "--help"], capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run([script, "--help"], capture_output=True, text=True, timeout=60, check=False, encoding="utf-8")
     assert (done.returncode, done.stderr) == (0, "")
     assert "gaussian-sculpting-fine" in done.stdout

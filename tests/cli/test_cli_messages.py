@@ -102,7 +102,7 @@ def test_main_prints_one_line_and_exits_with_2(monkeypatch: pytest.MonkeyPatch, 
 def test_an_output_that_cannot_be_used_is_told_before_anything_else(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ):
-    (tmp_path / "precious.txt").write_text("x")
+    (tmp_path / "precious.txt").write_text("x", encoding="utf-8")
     monkeypatch.setattr("sys.argv", ["sculpt-train", "fake", "--data", "x", "--output", str(tmp_path)])
     with pytest.raises(SystemExit) as caught:
         main()

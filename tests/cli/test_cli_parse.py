@@ -151,7 +151,8 @@ def test_a_file_has_settings_that_words_may_change(tmp_path: Path):
                 "losses": [{"type": "silhouette"}, {"type": "photometric", "weight": 0.25}],
                 "trainer": {"fit_steps": 11},
             }
-        )
+        ),
+        encoding="utf-8",
     )
     plain = parse(["gaussian-sculpting", "--data", "demo"])
     config = parse(["gaussian-sculpting", "--data", "demo", "--config", str(settings), "--steps", "9"])
@@ -168,7 +169,7 @@ def test_a_file_has_settings_that_words_may_change(tmp_path: Path):
 
 def test_the_config_of_a_run_is_such_a_file(tmp_path: Path):
     config = parse(["gaussian-sculpting", "--data", "demo", "--output", "somewhere", "--field", "mlp", "--seed", "3"])
-    (tmp_path / "config.json").write_text(config_to_json(config))
+    (tmp_path / "config.json").write_text(config_to_json(config), encoding="utf-8")
     again = parse(["gaussian-sculpting", "--config", str(tmp_path / "config.json")])
     assert again == replace(config, output=None)
 
@@ -186,19 +187,19 @@ def test_the_config_of_a_run_is_such_a_file(tmp_path: Path):
     ],
 )
 def test_a_file_that_does_not_fit_is_told(text: str, message: str, tmp_path: Path):
-    (tmp_path / "settings.json").write_text(text)
+    (tmp_path / "settings.json").write_text(text, encoding="utf-8")
     with pytest.raises(ConfigError, match=re.escape(message)):
         parse(["gaussian-sculpting", "--data", "demo", "--config", str(tmp_path / "settings.json")])
 
 
 def test_underscores_in_a_type_and_a_list_s_nonsense(tmp_path: Path):
-    (tmp_path / "a.json").write_text(json.dumps({"binder": {"type": "face_barycentric"}}))
+    (tmp_path / "a.json").write_text(json.dumps({"binder": {"type": "face_barycentric"}}), encoding="utf-8")
     config = parse(["gaussian-sculpting-paper", "--data", "demo", "--config", str(tmp_path / "a.json")])
     plain = parse(["gaussian-sculpting-paper", "--data", "demo"])
     assert isinstance(config, SculptingConfig)
     assert isinstance(plain, SculptingConfig)
     assert config.binder == plain.binder
-    (tmp_path / "b.json").write_text(json.dumps({"losses": [{"type": ["a"]}]}))
+    (tmp_path / "b.json").write_text(json.dumps({"losses": [{"type": ["a"]}]}), encoding="utf-8")
     with pytest.raises(ConfigError, match="expected the name of a loss"):
         parse(["gaussian-sculpting", "--data", "demo", "--config", str(tmp_path / "b.json")])
     with pytest.raises(ConfigError, match="--config is given twice"):
@@ -207,15 +208,15 @@ def test_underscores_in_a_type_and_a_list_s_nonsense(tmp_path: Path):
 
 def test_views_that_a_run_left_out_are_its_own(tmp_path: Path):
     config = replace(parse(["gaussian-sculpting", "--data", "demo"]), skip_views=("r_3",))
-    (tmp_path / "config.json").write_text(config_to_json(config))
+    (tmp_path / "config.json").write_text(config_to_json(config), encoding="utf-8")
     again = parse(["gaussian-sculpting", "--data", "x", "--config", str(tmp_path / "config.json")])
     assert again.skip_views == ()
 
 
 def test_no_module_is_imported_for_a_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    (tmp_path / "evil.py").write_text("raise SystemExit('ran')")
+    (tmp_path / "evil.py").write_text("raise SystemExit('ran')", encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
-    (tmp_path / "a.json").write_text(json.dumps({"field": {"type": "evil:Field"}}))
+    (tmp_path / "a.json").write_text(json.dumps({"field": {"type": "evil:Field"}}), encoding="utf-8")
     with pytest.raises(ConfigError, match="'evil' is not imported"):
         parse(["gaussian-sculpting", "--data", "demo", "--config", str(tmp_path / "a.json")])
     with pytest.raises(ConfigError, match="parts without a package are for Python"):
@@ -228,6 +229,6 @@ def test_a_file_must_be_there_and_is_not_for_a_saved_run(tmp_path: Path):
     with pytest.raises(ConfigError, match="--config expects a JSON file"):
         parse(["gaussian-sculpting", "--data", "demo", "--config"])
     config = parse(["gaussian-sculpting", "--data", "demo"])
-    (tmp_path / "config.json").write_text(config_to_json(config))
+    (tmp_path / "config.json").write_text(config_to_json(config), encoding="utf-8")
     with pytest.raises(ConfigError, match="--config cannot be given with --resume"):
         parse(["--resume", str(tmp_path), "--config", str(tmp_path / "config.json")])

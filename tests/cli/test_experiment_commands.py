@@ -34,7 +34,9 @@ def test_help_imports_nothing_heavy(words: str):
         "try:\n    main()\n"
         f"finally:\n    sys.stderr.write(','.join(sorted(set({HEAVY!r}) & set(sys.modules))))"
     )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False, encoding="utf-8"
+    )
     assert (done.returncode, done.stderr) == (0, "")
     assert "usage: sculpt-" in done.stdout
 
@@ -45,20 +47,20 @@ def test_an_ablation_from_words_to_tables(place: Path, capsys: pytest.CaptureFix
     text = capsys.readouterr().out
     assert "[6/6] dents/9steps/no-isolation/seed-10: failed: the data are no good" in text
     assert re.search(r"\[1/6\] dents/9steps/default/seed-0: Chamfer 0\.01000, 30\.00 dB \(\d+ s\)", text)
-    page = (place / "out" / "tables.md").read_text()
+    page = (place / "out" / "tables.md").read_text(encoding="utf-8")
     assert page.startswith("# Ablation of gaussian-sculpting\n\n    sculpt-ablate --factors isolation")
     # Medians of two results that differ by a percent and a failure: the worse of the two.
     assert "| default | yes | yes | yes | 1.010 [1.000 to failed] (1 of 3 failed) | 1.00 | 1.16 | 1.00 |" in page
     assert "| no-isolation | yes | yes | yes | 5.050 [5.000 to failed] (1 of 3 failed) | 5.00 | – | – |" in page
-    assert (place / "out" / "results.csv").read_text().count("\n") == 7
-    lines = (place / "out" / "started.txt").read_text().splitlines()
+    assert (place / "out" / "results.csv").read_text(encoding="utf-8").count("\n") == 7
+    lines = (place / "out" / "started.txt").read_text(encoding="utf-8").splitlines()
     assert len(lines) == 7, "a warm-up and six runs"
     assert all(" --threads 1 " in line for line in lines)
 
     ablate(words)
     again = capsys.readouterr().out
     assert "6 of 6 runs were done before, 2 of them failed (--retry-failed runs those again)." in again
-    assert len((place / "out" / "started.txt").read_text().splitlines()) == 7
+    assert len((place / "out" / "started.txt").read_text(encoding="utf-8").splitlines()) == 7
 
 
 def test_show_runs_nothing(place: Path, capsys: pytest.CaptureFixture[str]):
@@ -70,14 +72,14 @@ def test_show_runs_nothing(place: Path, capsys: pytest.CaptureFixture[str]):
         ablate(show)
     assert list((place / "out").iterdir()) == []
     ablate([*TWO, "--out", "out", "--scenes", "demo:blob"])
-    tables, started = ((place / "out" / name).read_text() for name in ("tables.md", "started.txt"))
+    tables, started = ((place / "out" / name).read_text(encoding="utf-8") for name in ("tables.md", "started.txt"))
     for other in (show, [*TWO, "--scenes", "demo:blob", "--out", "out", "--show", "--", "--threads", "1"]):
         with pytest.raises(ConfigError, match="out holds another experiment"):
             ablate(other)
-    assert (place / "out" / "tables.md").read_text() == tables
+    assert (place / "out" / "tables.md").read_text(encoding="utf-8") == tables
     ablate([*show, "--scenes", "demo:dents", "demo:blob"])
-    assert "| default | yes | yes | yes | – | 1.000 |" in (place / "out" / "tables.md").read_text()
-    assert (place / "out" / "started.txt").read_text() == started
+    assert "| default | yes | yes | yes | – | 1.000 |" in (place / "out" / "tables.md").read_text(encoding="utf-8")
+    assert (place / "out" / "started.txt").read_text(encoding="utf-8") == started
 
 
 def test_a_suite_from_words_to_tables(place: Path, capsys: pytest.CaptureFixture[str]):
@@ -87,11 +89,11 @@ def test_a_suite_from_words_to_tables(place: Path, capsys: pytest.CaptureFixture
     bench(["suite", "blender", "nerf", "--max-time", "20"])
     text = capsys.readouterr().out
     folder = place / "outputs" / "suite-blender"
-    page = (folder / "tables.md").read_text()
+    page = (folder / "tables.md").read_text(encoding="utf-8")
     assert "| gaussian-sculpting | 1.00 | – | – | – | 1.00 | 1.00 | 1.00 | 0 | – |" in page
     assert "| Ours 128 | 0.71 | 1.76 | 1.29 | 0.93 | 1.12 | 1.16 | 1.12 | 0 | 3 |" in page
     assert "not in the folder: hotdog, lego, drums." in text
-    started = (folder / "started.txt").read_text().splitlines()[-1]
+    started = (folder / "started.txt").read_text(encoding="utf-8").splitlines()[-1]
     assert started.startswith(f"gaussian-sculpting --data {place / 'nerf' / 'mic'} --max-time 20 --seed 0 --output ")
 
 
@@ -101,9 +103,14 @@ def test_a_suite_at_equal_seconds_and_at_each_method_s_own_length(place: Path):
         bench(words)
     bench([*words, "--max-time", "20"])
     folder = place / "outputs" / "suite-demo"
-    timed = [" --max-time 20 " in line for line in (folder / "started.txt").read_text().splitlines()[1:]]
+    timed = [
+        " --max-time 20 " in line for line in (folder / "started.txt").read_text(encoding="utf-8").splitlines()[1:]
+    ]
     assert timed == [True, True, False, False]
-    tables, page = (folder / "tables.md").read_text(), (folder / "report.html").read_text()
+    tables, page = (
+        (folder / "tables.md").read_text(encoding="utf-8"),
+        (folder / "report.html").read_text(encoding="utf-8"),
+    )
     methods, lengths = ("gaussian-sculpting", "neus"), ("20 s", "its own length")
     for name in (f"{method}, {length}" for method in methods for length in lengths):
         assert f"\n| {name} |" in tables

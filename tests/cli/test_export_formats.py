@@ -112,6 +112,8 @@ def test_help_imports_nothing_heavy(words: str):
         "finally:\n"
         "    sys.stderr.write(','.join({'torch', 'trimesh', 'numpy', 'lib3mf'} & set(sys.modules)))"
     )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False, encoding="utf-8"
+    )
     assert (done.returncode, done.stderr) == (0, "")
     assert "usage: sculpt-export" in done.stdout

@@ -52,7 +52,9 @@ def offences(folder: Path, *forbidden: str, allowed: tuple[str, ...] = ()) -> li
 def loaded(statement: str) -> set[str]:
     """Modules there are in a fresh interpreter after ``statement``."""
     script = f"{statement}\nimport sys\nprint(*sys.modules)"
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False, encoding="utf-8"
+    )
     assert done.returncode == 0, done.stderr
     return set(done.stdout.split())
 

@@ -56,7 +56,13 @@ def environment(installed: Path) -> dict[str, str]:
 
 def sculpt(installed: Path, module: str, *more: str) -> str:
     done = subprocess.run(
-        words(module, *more), env=environment(installed), capture_output=True, text=True, timeout=300, check=False
+        words(module, *more),
+        env=environment(installed),
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+        encoding="utf-8",
     )
     assert done.returncode == 0, done.stderr
     return done.stdout
@@ -96,7 +102,7 @@ def test_killed_and_gone_on_with_it_ends_as_an_unbroken_one(installed: Path, sce
     process.wait()
     sculpt(installed, "train", "--resume", str(out))
     assert (out / "mesh.ply").read_bytes() == (tmp_path / "whole" / "mesh.ply").read_bytes()
-    assert json.loads((out / "metrics.json").read_text())["status"] == "finished"
+    assert json.loads((out / "metrics.json").read_text(encoding="utf-8"))["status"] == "finished"
 
 
 @pytest.mark.slow
@@ -112,7 +118,9 @@ def test_two_processes_run_it_as_one_does(installed: Path, scenes: Path, tmp_pat
     sculpt(installed, "train", *common, str(tmp_path / "alone"))
     launcher = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
     command = [*launcher, "-m", "sculpt_framework.cli.train", *common, str(tmp_path / "shared")]
-    done = subprocess.run(command, env=environment(installed), capture_output=True, text=True, timeout=300, check=False)
+    done = subprocess.run(
+        command, env=environment(installed), capture_output=True, text=True, timeout=300, check=False, encoding="utf-8"
+    )
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "shared" / "mesh.ply").read_bytes() == (tmp_path / "alone" / "mesh.ply").read_bytes()
 
@@ -138,7 +146,13 @@ def test_what_it_cannot_do_is_said(installed: Path, scenes: Path, tmp_path: Path
         (["ball", "--data", "demo", "--rat", "1"], "Did you mean --rate?"),
     ):
         done = subprocess.run(
-            words("train", *more), env=environment(installed), capture_output=True, text=True, timeout=60, check=False
+            words("train", *more),
+            env=environment(installed),
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+            encoding="utf-8",
         )
         assert done.returncode == 2
         assert said in done.stderr

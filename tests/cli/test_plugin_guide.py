@@ -30,7 +30,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (source / name).write_text(content, encoding="utf-8")
     options = ["--no-deps", "--no-build-isolation", "--no-index", "--quiet", "--disable-pip-version-check"]
     pip = [sys.executable, "-m", "pip", "install", *options, "--target", str(target), str(source)]
-    done = subprocess.run(pip, capture_output=True, text=True, timeout=120, check=False)
+    done = subprocess.run(pip, capture_output=True, text=True, timeout=120, check=False, encoding="utf-8")
     assert done.returncode == 0, done.stderr
     return target
 
@@ -42,7 +42,14 @@ def sculpt_train(words: str, path: Path, folder: Path) -> subprocess.CompletedPr
     changes = {"PYTHONPATH": paths, "COLUMNS": "100", "NO_COLOR": "1"}
     command = [sys.executable, "-c", script, *words.split()]
     return subprocess.run(
-        command, capture_output=True, text=True, timeout=300, check=False, env=os.environ | changes, cwd=folder
+        command,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+        env=os.environ | changes,
+        cwd=folder,
+        encoding="utf-8",
     )
 
 

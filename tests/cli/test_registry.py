@@ -135,7 +135,9 @@ def test_a_package_cannot_take_the_name_of_a_built_in_unseen(install):
 
 def test_unreadable_metadata_of_one_package_hides_no_other(install):
     folder = install("sculpt-torn", {})
-    (folder / "sculpt_torn-1.0.dist-info" / "entry_points.txt").write_text("[sculpt_framework.fields]\nno equals sign")
+    (folder / "sculpt_torn-1.0.dist-info" / "entry_points.txt").write_text(
+        "[sculpt_framework.fields]\nno equals sign", encoding="utf-8"
+    )
     install("sculpt-waves", {FIELDS: {"waves": "sculpt_waves:WavesConfig"}}, sculpt_waves=FIELD)
     assert "waves" in registry.names("field")
 

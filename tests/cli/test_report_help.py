@@ -17,7 +17,9 @@ def test_help_and_mistakes_import_nothing_heavy(words: list[str]):
         "try:\n    main()\n"
         f"finally:\n    sys.stdout.write('|' + ','.join(sorted(set({HEAVY!r}) & set(sys.modules))))"
     )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False, encoding="utf-8"
+    )
     assert done.stdout.endswith("|"), done.stdout
     assert done.returncode == (0 if words else 2)
     assert done.stderr == (

@@ -14,7 +14,11 @@ PROJECT = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text
 
 def sculpt(*words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "sculpt_framework.cli.sculpt", *words], capture_output=True, text=True, check=False
+        [sys.executable, "-m", "sculpt_framework.cli.sculpt", *words],
+        capture_output=True,
+        text=True,
+        check=False,
+        encoding="utf-8",
     )
 
 

@@ -55,7 +55,10 @@ def test_the_clocks_of_a_resumed_run_go_on(tmp_path: Path):
 
 def test_a_killed_run_has_a_curve_and_is_a_failure(tmp_path: Path):
     folder = write_run(tmp_path / "a", ROWS, status=None, events=STAGES)
-    with open(folder / "curve.csv", "a", encoding="ascii") as curve, open(folder / "events.jsonl", "a") as events:
+    with (
+        open(folder / "curve.csv", "a", encoding="ascii") as curve,
+        open(folder / "events.jsonl", "a", encoding="utf-8") as events,
+    ):
         curve.write("20.0,4")
         events.write('{"event": "outer_st')
     run = load_run(folder)
@@ -67,7 +70,7 @@ def test_a_killed_run_has_a_curve_and_is_a_failure(tmp_path: Path):
 
 
 def test_a_run_that_has_only_begun(tmp_path: Path):
-    (tmp_path / "config.json").write_text(json.dumps(CONFIG))
+    (tmp_path / "config.json").write_text(json.dumps(CONFIG), encoding="utf-8")
     run = load_run(tmp_path)
     assert (run.scene, run.curve, run.total_seconds("train")) == ("jar", (), None)
     assert run.reason == "not ended, and nothing was measured"
@@ -105,7 +108,7 @@ def test_the_reference_is_the_one_the_run_names_or_the_one_beside_its_data(tmp_p
 )
 def test_damage_is_named(tmp_path: Path, name: str, content: str, message: str):
     folder = write_run(tmp_path / "a", ROWS)
-    (folder / name).write_text(content)
+    (folder / name).write_text(content, encoding="utf-8")
     with pytest.raises(DataError, match=message):
         load_run(folder)
 

@@ -41,11 +41,11 @@ def write_run(
     """Without a status: a run that was killed."""
     folder.mkdir(parents=True)
     settings = {**CONFIG, **(config or {})}
-    (folder / "config.json").write_text(json.dumps(settings))
-    (folder / "curve.csv").write_text(header_line() + "".join(map(row_line, rows)))
+    (folder / "config.json").write_text(json.dumps(settings), encoding="utf-8")
+    (folder / "curve.csv").write_text(header_line() + "".join(map(row_line, rows)), encoding="utf-8")
     started = {"scene": scene, "device": "cpu", "inputs": inputs or {}}
     lines = [{"event": "run_started", "t_train": 0.0, "t_wall": 1.0, "data": started}, *events]
-    (folder / "events.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    (folder / "events.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines), encoding="utf-8")
     if status is not None:
         metrics = {
             "status": status,
@@ -57,7 +57,7 @@ def write_run(
             "certificate": {"watertight": True},
             "versions": {"torch": "2.13"},
         }
-        (folder / "metrics.json").write_text(json.dumps(metrics))
+        (folder / "metrics.json").write_text(json.dumps(metrics), encoding="utf-8")
     return folder
 
 

@@ -83,7 +83,7 @@ def write_blender(folder: Path, shots: Sequence[Shot]) -> Path:
     frames = [{"file_path": f"train/{shot.name}", "transform_matrix": opengl(shot.camera)} for shot in shots]
     camera = shots[0].camera
     document = {"camera_angle_x": 2 * np.arctan(0.5 * camera.width / camera.fx), "frames": frames}
-    (folder / "transforms_train.json").write_text(json.dumps(document))
+    (folder / "transforms_train.json").write_text(json.dumps(document), encoding="utf-8")
     return folder
 
 
@@ -92,7 +92,7 @@ def write_omni(folder: Path, shots: Sequence[Shot]) -> Path:
     frames = [{"file_path": shot.name, "transform_matrix": opengl(shot.camera), "scale": 1.0} for shot in shots]
     camera = shots[0].camera
     document = {"camera_angle_x": 2 * np.arctan(0.5 * camera.width / camera.fx), "frames": frames}
-    (folder / "render" / "transforms.json").write_text(json.dumps(document))
+    (folder / "render" / "transforms.json").write_text(json.dumps(document), encoding="utf-8")
     return folder
 
 
@@ -112,7 +112,9 @@ def write_nerfstudio(folder: Path, shots: Sequence[Shot], **keys: Any) -> Path:
                 "h": camera.height,
             }
         )
-    (folder / "transforms.json").write_text(json.dumps({"camera_model": "OPENCV", "frames": frames} | keys))
+    (folder / "transforms.json").write_text(
+        json.dumps({"camera_model": "OPENCV", "frames": frames} | keys), encoding="utf-8"
+    )
     return folder
 
 
@@ -181,17 +183,17 @@ def _write_colmap_text(
     camera = shots[0].camera
     numbers = " ".join(repr(float(value)) for value in values)
     lines = ["# Camera list", f"1 {model[1]} {camera.width} {camera.height} {numbers}"]
-    (folder / "cameras.txt").write_text("\n".join(lines) + "\n")
+    (folder / "cameras.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
     lines = ["# Image list with two lines of data per image:"]
     for index, shot in enumerate(shots):
         pose = shot.camera.world_to_camera.numpy()
         words = [repr(float(value)) for value in (*quaternion(pose[:3, :3]), *pose[:3, 3])]
         # Every other image has no observations: a blank line.
         lines += [" ".join([str(index + 1), *words, "1", f"{shot.name}.png"]), "1.0 2.0 -1" if index % 2 else ""]
-    (folder / "images.txt").write_text("\n".join(lines) + "\n")
+    (folder / "images.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
     lines = ["# 3D point list"]
     lines += [f"{n + 1} {x!r} {y!r} {z!r} 10 20 30 0.5 1 0 2 0" for n, (x, y, z) in enumerate(points.tolist())]
-    (folder / "points3D.txt").write_text("\n".join(lines) + "\n")
+    (folder / "points3D.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def write_idr(folder: Path, shots: Sequence[Shot], name: str = "cameras.npz") -> Path:

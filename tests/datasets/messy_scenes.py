@@ -35,9 +35,9 @@ def noted(scene: Scene, text: str) -> bool:
 
 
 def edit(folder: Path, change: Callable[[dict[str, Any]], object], name: str = "transforms.json") -> None:
-    document = json.loads((folder / name).read_text())
+    document = json.loads((folder / name).read_text(encoding="utf-8"))
     change(document)
-    (folder / name).write_text(json.dumps(document))
+    (folder / name).write_text(json.dumps(document), encoding="utf-8")
 
 
 def text_model(folder: Path, **options: Any) -> Path:

@@ -48,14 +48,14 @@ def make_scene(folder: Path, views: int = 6, image: np.ndarray | None = None, ex
 
 
 def write_transforms(folder: Path, document: object, split: str = "train") -> None:
-    (folder / f"transforms_{split}.json").write_text(json.dumps(document))
+    (folder / f"transforms_{split}.json").write_text(json.dumps(document), encoding="utf-8")
 
 
 def edit_transforms(folder: Path, change: Callable[[dict[str, Any]], object]) -> None:
     path = folder / "transforms_train.json"
-    document = json.loads(path.read_text())
+    document = json.loads(path.read_text(encoding="utf-8"))
     change(document)
-    path.write_text(json.dumps(document))
+    path.write_text(json.dumps(document), encoding="utf-8")
 
 
 def load(folder: Path, **options: Any) -> Scene:

@@ -17,7 +17,7 @@ Spoil = Callable[[Path], object]
 def _text(change: Callable[[str], str]) -> Spoil:
     def spoil(folder: Path) -> None:
         path = folder / "transforms_train.json"
-        path.write_text(change(path.read_text()))
+        path.write_text(change(path.read_text(encoding="utf-8")), encoding="utf-8")
 
     return spoil
 

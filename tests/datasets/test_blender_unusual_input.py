@@ -195,7 +195,7 @@ def test_paths_with_extension_and_links(scene: Path) -> None:
 
 def test_byte_order_mark_and_unknown_keys(scene: Path) -> None:
     path = scene / "transforms_train.json"
-    document = json.loads(path.read_text()) | {"aabb_scale": 4, "k1": 0.0}
+    document = json.loads(path.read_text(encoding="utf-8")) | {"aabb_scale": 4, "k1": 0.0}
     path.write_bytes(b"\xef\xbb\xbf" + json.dumps(document).encode())
     assert len(load(scene).train) == 6
 

@@ -63,7 +63,7 @@ def test_writing_never_overwrites(demo_folder: Path, tmp_path: Path) -> None:
     with pytest.raises(OutputError, match=r"blob: exists and is not empty; give a new or an empty folder"):
         write_scene(item, settings, demo_folder)
     file = tmp_path / "file"
-    file.write_text("mine")
+    file.write_text("mine", encoding="utf-8")
     with pytest.raises(OutputError, match=r"exists and is not empty"):
         write_scene(item, settings, file)
     with pytest.raises(OutputError, match=r"below: cannot be written"):
@@ -134,7 +134,7 @@ def test_demo_is_rendered_once_and_read_from_the_cache(cache: Path) -> None:
 
 
 def test_cache_that_cannot_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "file").write_text("")
+    (tmp_path / "file").write_text("", encoding="utf-8")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     settings = DemoSettings(train_views=1, test_views=0, resolution=16, reference_cells=16)
@@ -177,10 +177,10 @@ def test_layout_is_recognised_and_named(tmp_path: Path) -> None:
 )
 def test_what_is_no_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, data: str, message: str) -> None:
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "file").write_text("")
+    (tmp_path / "file").write_text("", encoding="utf-8")
     (tmp_path / "empty").mkdir()
     (tmp_path / "other" / "images").mkdir(parents=True)
-    (tmp_path / "other" / "notes.txt").write_text("")
+    (tmp_path / "other" / "notes.txt").write_text("", encoding="utf-8")
     make_scene(tmp_path / "parent" / "one", views=1)
     with pytest.raises(DataError, match=message):
         AutoDatasetConfig().build(data)
@@ -202,7 +202,7 @@ def test_command_writes_lists_and_inspects(
     words = ["demo", "gaps", str(folder), "--views", "3", "--test-views", "1", "--resolution", "24"]
     assert _run(*words, monkeypatch=monkeypatch) == 0
     assert "3 train and 1 test views of 'gaps', 24x24, gt_mesh.ply" in capsys.readouterr().out
-    assert len(json.loads((folder / "transforms_train.json").read_text())["frames"]) == 3
+    assert len(json.loads((folder / "transforms_train.json").read_text(encoding="utf-8"))["frames"]) == 3
     assert _run("inspect", str(folder), monkeypatch=monkeypatch) == 0
     card = capsys.readouterr().out.splitlines()
     assert card[0] == "scene      gaps"
@@ -234,7 +234,7 @@ def test_command_says_what_is_wrong(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "something").write_text("")
+    (tmp_path / "something").write_text("", encoding="utf-8")
     assert _run(*words, monkeypatch=monkeypatch) == 2
     error = capsys.readouterr().err
     assert message in error

@@ -65,7 +65,7 @@ def test_masks_matched_by_their_order(tmp_path: Path):
     folder = idr(tmp_path / "s")
     for index, shot in enumerate(SHOTS):
         (folder / "mask" / f"{shot.name}.png").rename(folder / "mask" / f"{index:06d}.png")
-    (folder / "mask" / "list.txt").write_text("000000.png")
+    (folder / "mask" / "list.txt").write_text("000000.png", encoding="utf-8")
     scene = read(folder)
     assert has_the_masks(scene)
     assert noted(scene, "1 of 7 files of masks belong to no image and are not used (mask/list.txt).")
@@ -197,7 +197,9 @@ def test_flat_masks_of_a_rig_in_transforms(tmp_path: Path):
     ]
     for name in ("cam1", "cam2"):
         (folder / "images" / name).rename(folder / name)
-    (folder / "transforms.json").write_text(json.dumps({"fl_x": SHOTS[0].camera.fx, "frames": frames}))
+    (folder / "transforms.json").write_text(
+        json.dumps({"fl_x": SHOTS[0].camera.fx, "frames": frames}), encoding="utf-8"
+    )
     assert noted(read(folder), "6 of 6 images have a mask in a file of its own")
     for path in (folder / "masks/cam1").iterdir():
         path.rename(folder / "masks" / path.name)

@@ -165,7 +165,7 @@ def test_what_blender_puts_behind_names(write: Write, asked: str, there: str, tm
 def test_names_with_spaces_and_lines_without_observations(lines: str, end: str, tmp_path: Path):
     folder = text_model(tmp_path / "s")
     model = folder / "sparse/0/images.txt"
-    kept = [line for line in model.read_text().split("\n") if line.endswith(".png")]
+    kept = [line for line in model.read_text(encoding="utf-8").split("\n") if line.endswith(".png")]
     out = []
     for index, line in enumerate(kept):
         # As many words as three observations, which is what they must not be taken for.
@@ -245,8 +245,8 @@ def test_the_same_image_twice(name: str, tmp_path: Path):
         edit(folder, lambda d: d["frames"].append(d["frames"][2]), names[0])
     elif name == "COLMAP text":
         path = folder / "sparse/0/images.txt"
-        line = path.read_text().split("\n")[5]
-        path.write_text(path.read_text() + line.replace("3 ", "9 ", 1) + "\n\n")
+        line = path.read_text(encoding="utf-8").split("\n")[5]
+        path.write_text(path.read_text(encoding="utf-8") + line.replace("3 ", "9 ", 1) + "\n\n", encoding="utf-8")
     else:
         path = folder / "sparse/0/images.bin"
         path.write_bytes(path.read_bytes().replace(b"r_03.png", b"r_02.png"))
@@ -286,7 +286,7 @@ def test_sparse_points_are_used_or_missed_aloud(text: bool, tmp_path: Path):
     folder = write_colmap(tmp_path / "s", SHOTS, text=text, points=cloud(), masks=False)
     own = folder / "sparse/0" / ("points3D.txt" if text else "points3D.bin")
     if text:
-        own.write_text(own.read_text().replace(" 0.5 ", " -1 "))
+        own.write_text(own.read_text(encoding="utf-8").replace(" 0.5 ", " -1 "), encoding="utf-8")
     else:
         own.write_bytes(own.read_bytes().replace(np.float64(0.5).tobytes(), np.float64(-1).tobytes()))
     assert noted(bare_box(folder), "of 200 sparse points; there are no masks")
@@ -336,7 +336,7 @@ def test_nothing_outside_the_folder_is_opened(layout: str, name: str, opened: li
         edit(folder, lambda d: d.update(ply_file_path=secret), names[0])
     else:
         path = folder / "sparse/0/images.txt"
-        path.write_text(path.read_text().replace("r_00.png", secret))
+        path.write_text(path.read_text(encoding="utf-8").replace("r_00.png", secret), encoding="utf-8")
     opened.clear()
     scene = read(folder)
     assert len(scene.train) == 5

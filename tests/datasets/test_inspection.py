@@ -127,9 +127,9 @@ def test_masks_of_frames_in_folders(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 def test_masks_are_not_written_over(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     with pytest.raises(OutputError, match=r"masks: exists and is not empty"):
         _run(monkeypatch, "masks", folder, "--out", folder / "masks")
-    document = json.loads((folder / "transforms.json").read_text())
+    document = json.loads((folder / "transforms.json").read_text(encoding="utf-8"))
     (tmp_path / "s").mkdir()
-    (tmp_path / "s" / "transforms.json").write_text(json.dumps(document))
+    (tmp_path / "s" / "transforms.json").write_text(json.dumps(document), encoding="utf-8")
     with pytest.raises(DataError, match=r"16 of 16 images are not there"):
         _run(monkeypatch, "masks", tmp_path / "s", "--out", tmp_path / "m")
     assert not (tmp_path / "m").exists()

@@ -118,13 +118,13 @@ def test_applied_transform_is_undone_when_asked(shots: list[Shot], plain: Scene,
     applied = np.array([[1.0, 0, 0, 0.3], [0, 0, 1, -1.0], [0, -1, 0, 2.0]])
     scale = 2.5
     folder = write_nerfstudio(tmp_path / "scene", shots)
-    document = json.loads((folder / "transforms.json").read_text())
+    document = json.loads((folder / "transforms.json").read_text(encoding="utf-8"))
     for frame in document["frames"]:
         moved = np.vstack([applied, [0, 0, 0, 1]]) @ np.array(frame["transform_matrix"])
         moved[:3, 3] *= scale
         frame["transform_matrix"] = moved.tolist()
     document |= {"applied_transform": applied.tolist(), "applied_scale": scale}
-    (folder / "transforms.json").write_text(json.dumps(document))
+    (folder / "transforms.json").write_text(json.dumps(document), encoding="utf-8")
     back = NerfstudioConfig(original_frame=True).build(str(folder)).load()
     for view, same in zip(back.train, plain.train, strict=True):
         torch.testing.assert_close(view.camera.world_to_camera, same.camera.world_to_camera, rtol=0, atol=1e-9)

@@ -111,9 +111,9 @@ def test_any_lens_and_place(folder: Path, shift: float, angle: float, scale: flo
 
 def _with(folder: Path, change: Callable[[dict[str, Any]], object]) -> None:
     path = folder / "transforms_train.json"
-    original = path.read_text()
+    original = path.read_text(encoding="utf-8")
     try:
         edit_transforms(folder, change)
         _loads_or_says_why(folder)
     finally:
-        path.write_text(original)
+        path.write_text(original, encoding="utf-8")

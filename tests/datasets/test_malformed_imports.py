@@ -44,9 +44,9 @@ def frame(**keys: Any) -> Spoil:
 
 def edited(change: Callable[[dict[str, Any]], object], name: str = "transforms.json") -> Spoil:
     def spoil(folder: Path) -> None:
-        held = json.loads((folder / name).read_text())
+        held = json.loads((folder / name).read_text(encoding="utf-8"))
         change(held)
-        (folder / name).write_text(json.dumps(held))
+        (folder / name).write_text(json.dumps(held), encoding="utf-8")
 
     return spoil
 
@@ -97,11 +97,11 @@ def both(*spoils: Spoil) -> Spoil:
 
 def word(name: str, line: int, place: int, value: str) -> Spoil:
     def spoil(folder: Path) -> None:
-        lines = (folder / name).read_text().split("\n")
+        lines = (folder / name).read_text(encoding="utf-8").split("\n")
         words = lines[line].split()
         words[place] = value
         lines[line] = " ".join(words)
-        (folder / name).write_text("\n".join(lines))
+        (folder / name).write_text("\n".join(lines), encoding="utf-8")
 
     return spoil
 

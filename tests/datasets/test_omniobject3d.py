@@ -73,7 +73,7 @@ def write(tmp_path: Path) -> Write:
             frames[-1]["scale"] = scale
         document = {"camera_angle_x": FIELD_OF_VIEW, "frames": frames}
         change(document)
-        (render / "transforms.json").write_text(json.dumps(document))
+        (render / "transforms.json").write_text(json.dumps(document), encoding="utf-8")
         if scan_place is not None:
             (tmp_path / scan_place / "Scan").mkdir(parents=True)
             scan().export(tmp_path / scan_place / "Scan" / "Scan.obj")
@@ -130,7 +130,7 @@ def test_the_placed_scan_is_kept_and_made_again_when_the_scan_changes(write: Wri
     assert first.is_relative_to(cache)
     assert load(folder).reference_mesh == first
     path = tmp_path / "raw_scans" / "pan" / "pan_007" / "Scan" / "Scan.obj"
-    path.write_text(path.read_text() + "\n# measured again\n")
+    path.write_text(path.read_text(encoding="utf-8") + "\n# measured again\n", encoding="utf-8")
     assert load(folder).reference_mesh != first
 
 
@@ -217,6 +217,6 @@ def test_wrong_folders_and_options(write: Write, tmp_path: Path):
         load(folder.parent)
     with pytest.raises(ConfigError, match=r"--dataset\.test-every is 1; expected 0, or 2 or more"):
         check_component(OmniObject3DConfig(test_every=1))
-    (tmp_path / "raw_scans" / "pan" / "pan_007" / "Scan" / "Scan.obj").write_text("v 0 0 0\n")
+    (tmp_path / "raw_scans" / "pan" / "pan_007" / "Scan" / "Scan.obj").write_text("v 0 0 0\n", encoding="utf-8")
     with pytest.raises(DataError, match=r"Scan\.obj"):
         load(folder)

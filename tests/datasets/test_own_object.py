@@ -28,7 +28,9 @@ def _commands() -> list[list[str]]:
 
 def _run(words: list[str], folder: Path) -> str:
     command = [sys.executable, "-m", f"sculpt_framework.cli.{MODULES[words[0]]}", *words[1:]]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=1200, check=False)
+    done = subprocess.run(
+        command, cwd=folder, capture_output=True, text=True, timeout=1200, check=False, encoding="utf-8"
+    )
     assert done.returncode == 0, f"{' '.join(words)}: {done.stderr}"
     return done.stdout
 

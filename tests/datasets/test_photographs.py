@@ -233,9 +233,9 @@ def test_each_frame_may_have_a_camera_of_its_own(tmp_path: Path):
     shots = make_shots(4)
     folder = write_nerfstudio(tmp_path / "s", shots)
     path = folder / "transforms.json"
-    document = json.loads(path.read_text())
+    document = json.loads(path.read_text(encoding="utf-8"))
     document["frames"][2] |= {"fl_x": 50.0, "fl_y": 51.0, "cx": 20.0, "cy": 30.0}
-    path.write_text(json.dumps(document))
+    path.write_text(json.dumps(document), encoding="utf-8")
     cameras = [view.camera for view in NerfstudioConfig().build(str(folder)).load().train]
     assert (cameras[2].fx, cameras[2].fy, cameras[2].cx, cameras[2].cy) == (50.0, 51.0, 20.0, 30.0)
     assert cameras[1].fx == shots[1].camera.fx

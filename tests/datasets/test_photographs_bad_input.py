@@ -29,9 +29,9 @@ def _lines(name: str, number: int, change: Callable[[list[str]], Sequence[str]])
     """Change the words of a line, counted from 0, comments too."""
 
     def spoil(folder: Path) -> None:
-        lines = (folder / name).read_text().split("\n")
+        lines = (folder / name).read_text(encoding="utf-8").split("\n")
         lines[number] = " ".join(change(lines[number].split()))
-        (folder / name).write_text("\n".join(lines))
+        (folder / name).write_text("\n".join(lines), encoding="utf-8")
 
     return spoil
 
@@ -49,27 +49,27 @@ def _pack(name: str, offset: int, layout: str, value: float) -> Spoil:
 
 def _key(key: str, value: object) -> Spoil:
     def spoil(folder: Path) -> None:
-        document = json.loads((folder / "transforms.json").read_text())
+        document = json.loads((folder / "transforms.json").read_text(encoding="utf-8"))
         document[key] = value
-        (folder / "transforms.json").write_text(json.dumps(document))
+        (folder / "transforms.json").write_text(json.dumps(document), encoding="utf-8")
 
     return spoil
 
 
 def _frame(key: str, value: object) -> Spoil:
     def spoil(folder: Path) -> None:
-        document = json.loads((folder / "transforms.json").read_text())
+        document = json.loads((folder / "transforms.json").read_text(encoding="utf-8"))
         document["frames"][1][key] = value
-        (folder / "transforms.json").write_text(json.dumps(document))
+        (folder / "transforms.json").write_text(json.dumps(document), encoding="utf-8")
 
     return spoil
 
 
 def _drop(key: str) -> Spoil:
     def spoil(folder: Path) -> None:
-        document = json.loads((folder / "transforms.json").read_text())
+        document = json.loads((folder / "transforms.json").read_text(encoding="utf-8"))
         del document["frames"][1][key]
-        (folder / "transforms.json").write_text(json.dumps(document))
+        (folder / "transforms.json").write_text(json.dumps(document), encoding="utf-8")
 
     return spoil
 

@@ -59,7 +59,7 @@ def do(job: dict[str, Any], scene: str, work: Path) -> dict[str, Any]:
             for other in range(count):
                 if other not in codes:
                     os.kill(children[other], signal.SIGTERM)
-    said = [(work / f"{job['name']}-{rank}.log").read_text() for rank in range(count)]
+    said = [(work / f"{job['name']}-{rank}.log").read_text(encoding="utf-8") for rank in range(count)]
     return {
         "codes": [codes[rank] for rank in range(count)],
         "said": said,

@@ -79,5 +79,5 @@ def test_a_run_does_not_load_torchs_compiler():
         "Session(small_scene(pixels=32), config).run()\n"
         "sys.exit('torch._dynamo' in sys.modules)\n"
     )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False, encoding="utf-8")
     assert done.returncode == 0, done.stderr

@@ -37,7 +37,9 @@ sys.argv[0] = "sculpt"
 main()
 """
     arguments = [sys.executable, "-c", code, *map(str, words)]
-    return subprocess.run(arguments, env=environment, capture_output=True, text=True, timeout=120, check=False)
+    return subprocess.run(
+        arguments, env=environment, capture_output=True, text=True, timeout=120, check=False, encoding="utf-8"
+    )
 
 
 @pytest.fixture(scope="module")
@@ -62,10 +64,10 @@ def test_training_leaves_every_file(trained: tuple[Path, Finished]):
     assert (folder / "checkpoints" / "latest.safetensors").is_file()
     for name in ("mesh.ply", "curve.csv", "report.html", "100 % of the optimisation"):
         assert name in done.stdout
-    metrics = json.loads((folder / "metrics.json").read_text())
+    metrics = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
     assert metrics["status"] == "finished"
     assert metrics["certificate"]["watertight"]
-    page = (folder / "report.html").read_text()
+    page = (folder / "report.html").read_text(encoding="utf-8")
     for name in ("reference", "rendering", "difference", "normals", "mesh error"):
         assert f"{name}" in page
     # Once for the result and, but for the reference, once for the start.
@@ -81,7 +83,7 @@ def test_a_finished_run_is_measured_and_exported(
     assert json.loads(done.stdout)
     done = command(command_environment, "export", folder, "--format", "obj", "--out", tmp_path / "mesh.obj")
     assert done.returncode == 0, done.stderr
-    assert (tmp_path / "mesh.obj").read_text().count("\nf ") > 100
+    assert (tmp_path / "mesh.obj").read_text(encoding="utf-8").count("\nf ") > 100
 
 
 def test_a_finished_run_is_left_alone(trained: tuple[Path, Finished], command_environment: dict[str, str]):

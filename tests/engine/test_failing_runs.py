@@ -102,7 +102,7 @@ def test_a_report_that_fails_is_a_warning(config: MethodConfig, monkeypatch: pyt
     fail_for(monkeypatch, "report.html", OSError(errno.EROFS, "Read-only file system"))
     run(config, resume=None, started=0.0)
     assert run_status(tmp_path / "run") == "finished"
-    last = json.loads((tmp_path / "run" / "events.jsonl").read_text().splitlines()[-1])
+    last = json.loads((tmp_path / "run" / "events.jsonl").read_text(encoding="utf-8").splitlines()[-1])
     assert last["event"] == "warning"
     assert "Read-only file system" in last["data"]["message"]
 
@@ -129,8 +129,10 @@ def test_a_finished_run_whose_data_are_gone_is_still_finished(
     config: MethodConfig, tmp_path: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
 ):
     run(config, resume=None, started=0.0)
-    text = (tmp_path / "run" / "config.json").read_text()
-    (tmp_path / "run" / "config.json").write_text(text.replace(str(config.data), str(tmp_path / "gone")))
+    text = (tmp_path / "run" / "config.json").read_text(encoding="utf-8")
+    (tmp_path / "run" / "config.json").write_text(
+        text.replace(str(config.data), str(tmp_path / "gone")), encoding="utf-8"
+    )
     (tmp_path / "run" / "report.html").unlink()
     run(config, resume=tmp_path / "run", started=0.0)
     assert "has finished already" in capsys.readouterr().out

@@ -327,12 +327,14 @@ def test_nothing_is_learned_from_test_views_the_reference_or_the_frame(
     run(config, resume=None, started=0.0)
     run(replace(config, data=str(bare), output=tmp_path / "without"), resume=None, started=0.0)
     assert (tmp_path / "run" / "mesh.ply").read_bytes() == (tmp_path / "without" / "mesh.ply").read_bytes()
-    final = json.loads((tmp_path / "run" / "metrics.json").read_text())["final"]
+    final = json.loads((tmp_path / "run" / "metrics.json").read_text(encoding="utf-8"))["final"]
     assert final["point_to_point"] > 0
     assert final["accuracy"] > 0
-    assert "point_to_point" not in json.loads((tmp_path / "without" / "metrics.json").read_text())["final"]
+    assert (
+        "point_to_point" not in json.loads((tmp_path / "without" / "metrics.json").read_text(encoding="utf-8"))["final"]
+    )
     # Those who look at the run find the frame in it.
-    taken = json.loads((tmp_path / "without" / "frame.json").read_text())
+    taken = json.loads((tmp_path / "without" / "frame.json").read_text(encoding="utf-8"))
     assert taken == {"metres_per_unit": 0.25, "up": [0.0, 0.6, 0.8]}
     assert not (tmp_path / "run" / "frame.json").exists()
 

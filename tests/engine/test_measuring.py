@@ -115,7 +115,7 @@ def test_views_that_show_nothing_are_not_measured_and_numbers_that_are_none_are_
 
 
 def test_a_reference_without_area_is_one_line(scene: Scene, tmp_path: Path):
-    (tmp_path / "flat.obj").write_text("v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n")
+    (tmp_path / "flat.obj").write_text("v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", encoding="utf-8")
     with pytest.raises(DataError, match=r"flat\.obj cannot be compared with"):
         Evaluator(small_config(reference=tmp_path / "flat.obj"), scene, ())
 
@@ -231,7 +231,7 @@ def test_the_same_seed_gives_the_same_metrics(twice: tuple[Path, Path]):
     """All of metrics.json but for times and memory, and the mesh to the byte."""
     found = []
     for folder in twice:
-        metrics = json.loads((folder / "metrics.json").read_text())
+        metrics = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
         for column in TIMES:
             assert metrics["final"].pop(column) > 0
         found.append((metrics, (folder / "mesh.ply").read_bytes()))
@@ -240,7 +240,7 @@ def test_the_same_seed_gives_the_same_metrics(twice: tuple[Path, Path]):
 
 def test_a_run_leaves_all_measures(twice: tuple[Path, Path]):
     folder, _ = twice
-    metrics = json.loads((folder / "metrics.json").read_text())
+    metrics = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
     final = metrics["final"]
     for name in ("point_to_surface", "point_to_point", "point_to_surface_squared", "smallest_angle"):
         assert final[name] > 0
@@ -254,7 +254,7 @@ def test_a_run_leaves_all_measures(twice: tuple[Path, Path]):
 
 
 def test_the_report_shows_what_was_measured(twice: tuple[Path, Path], scene_folder: Path):
-    page = (twice[0] / "report.html").read_text()
+    page = (twice[0] / "report.html").read_text(encoding="utf-8")
     digest = input_digests(BlenderConfig().build(str(scene_folder)).load(), None)["train images"]
     for text in ("Where the time went", "Before training", "mesh error", digest, "processor", "mean_radius_ratio"):
         assert text in page

@@ -29,7 +29,7 @@ def system(root: Path, **files: str) -> Path:
     for name, text in files.items():
         path = root / name.replace("__", "/").replace("_D_", ".")
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text)
+        path.write_text(text, encoding="utf-8")
     return root
 
 
@@ -47,7 +47,7 @@ def test_the_peak_is_this_process_and_not_that_of_the_one_that_started_it(tmp_pa
     held[::4096] = b"x" * len(held[::4096])
     assert peak_bytes() >= before
     script = "from sculpt_framework.memory import peak_bytes; print(peak_bytes())"
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, encoding="utf-8")
     assert int(done.stdout) < 128 << 20 < len(held) <= peak_bytes()
 
 

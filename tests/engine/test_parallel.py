@@ -45,7 +45,9 @@ def bare_scene(scene_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> 
 def do(jobs: list[Job], scene: Path, work: Path, environment: dict[str, str], seconds: float = 550.0) -> dict[str, Job]:
     """What ranks.py tells of each job, by its name. Whoever waits for the dead waits for longer, ten minutes."""
     command = [sys.executable, str(HERE / "ranks.py"), str(scene), str(work), json.dumps(jobs)]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=seconds, check=False)
+    done = subprocess.run(
+        command, env=environment, capture_output=True, text=True, timeout=seconds, check=False, encoding="utf-8"
+    )
     assert done.returncode == 0, done.stderr
     return {job["name"]: told for job, told in zip(jobs, json.loads(done.stdout), strict=True)}
 
@@ -71,7 +73,7 @@ def mesh_of(folder: Path) -> Mesh:
 
 
 def losses(folder: Path) -> list[float]:
-    events = [json.loads(line) for line in (folder / "events.jsonl").read_text().splitlines()]
+    events = [json.loads(line) for line in (folder / "events.jsonl").read_text(encoding="utf-8").splitlines()]
     return [event["data"]["loss"] for event in events if event["event"] == "outer_step"]
 
 
@@ -90,7 +92,7 @@ def test_three_processes_do_what_one_does(outcomes: tuple[dict[str, Job], Path])
 def test_only_the_first_process_writes_and_speaks(outcomes: tuple[dict[str, Job], Path]):
     told, work = outcomes
     assert told["three"]["said"][1:] == ["", ""]
-    events = (work / "three" / "events.jsonl").read_text().splitlines()
+    events = (work / "three" / "events.jsonl").read_text(encoding="utf-8").splitlines()
     assert sum(json.loads(line)["event"] == "run_started" for line in events) == 1
     assert sum(json.loads(line)["event"] == "run_ended" for line in events) == 1
 
@@ -109,9 +111,9 @@ def test_a_dead_process_is_named_and_the_run_goes_on(
     assert re.search(expected, ended["said"][left]), ended["said"][left]
     again = told[f"{name} on"]
     assert set(again["codes"]) == {0}, again["said"]
-    assert json.loads((work / name / "metrics.json").read_text())["status"] == "finished"
+    assert json.loads((work / name / "metrics.json").read_text(encoding="utf-8"))["status"] == "finished"
     # It went on after the second step, the last that was whole, and lost none.
-    lines = (work / name / "events.jsonl").read_text().splitlines()
+    lines = (work / name / "events.jsonl").read_text(encoding="utf-8").splitlines()
     assert any("going on after outer step 2" in line for line in lines)
     assert mesh_of(work / name).vertices.shape[0] > 100
 
@@ -222,10 +224,10 @@ def test_torchrun_trains_and_names_the_dead(bare_scene: Path, tmp_path: Path, co
     ]
     environment = {**command_environment, "OMP_NUM_THREADS": "1"}
     with subprocess.Popen(
-        [*train, *words, "--steps", "60"], env=environment, stderr=subprocess.PIPE, text=True
+        [*train, *words, "--steps", "60"], env=environment, stderr=subprocess.PIPE, text=True, encoding="utf-8"
     ) as process:
         events = tmp_path / "run" / "events.jsonl"
-        while not events.exists() or '"outer_step"' not in events.read_text():
+        while not events.exists() or '"outer_step"' not in events.read_text(encoding="utf-8"):
             assert process.poll() is None, process.stderr and process.stderr.read()
             time.sleep(0.1)
         victim = next(number for number in descendants(process.pid) if rank_of(number) == "1")
@@ -241,13 +243,16 @@ def test_torchrun_trains_and_names_the_dead(bare_scene: Path, tmp_path: Path, co
         text=True,
         timeout=300,
         check=False,
+        encoding="utf-8",
     )
     assert again.returncode == 0, again.stderr
-    assert json.loads((tmp_path / "run" / "metrics.json").read_text())["status"] == "finished"
+    assert json.loads((tmp_path / "run" / "metrics.json").read_text(encoding="utf-8"))["status"] == "finished"
 
 
 def descendants(process: int) -> list[int]:
-    children = [int(word) for word in Path(f"/proc/{process}/task/{process}/children").read_text().split()]
+    children = [
+        int(word) for word in Path(f"/proc/{process}/task/{process}/children").read_text(encoding="utf-8").split()
+    ]
     return children + [each for child in children for each in descendants(child)]
 
 

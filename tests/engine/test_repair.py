@@ -89,7 +89,7 @@ def test_outside_the_box_the_mesh_stays_to_the_bit(scene: Scene, whole: Path):
     certificate = certify(after.vertices, after.faces)
     assert certificate.watertight
     assert certificate.consistently_oriented
-    metrics = json.loads((output / "metrics.json").read_text())
+    metrics = json.loads((output / "metrics.json").read_text(encoding="utf-8"))
     assert metrics["status"] == "finished"
     # Another box of the repaired run; what the first one changed is outside now, and stays.
     other = octant(scene, (-1, -1, -1))

@@ -287,7 +287,7 @@ def test_an_export_is_the_mesh_as_it_is(scene: Scene, tmp_path: Path):
 
 
 def test_an_export_that_cannot_be_written_is_refused(scene: Scene, tmp_path: Path):
-    (tmp_path / "exports").write_text("in the way")
+    (tmp_path / "exports").write_text("in the way", encoding="utf-8")
     run = Told(small_config(steps=3, stages=ONE_STAGE), scene, tmp_path, [(2, ExportMesh())])
     assert "refused: cannot write" in run.actions[0].data["message"]
     assert len(run.result.faces) > 0
@@ -304,7 +304,10 @@ def test_a_replayed_run_ends_as_the_one_it_follows(scene: Scene, tmp_path: Path)
     ]
     first = Told(config, scene, tmp_path, told)
     path = tmp_path / "events.jsonl"
-    path.write_text("".join(event_line(event) for event in first.events if event.event != "snapshot") + '{"v": 1, "t_')
+    path.write_text(
+        "".join(event_line(event) for event in first.events if event.event != "snapshot") + '{"v": 1, "t_',
+        encoding="utf-8",
+    )
     recorded = read_recorded(path)
     assert [(each.outer, each.command) for each in recorded] == told
     again = Told(config, scene, tmp_path, told, replay=True)
@@ -325,7 +328,8 @@ def test_what_a_resumed_run_did_not_do_again_is_not_replayed(tmp_path: Path):
         + line("action", 9, message="", command=command_to_json(lost))
         + line("run_started", 0)
         + line("action", 5, message="going on after outer step 5")
-        + line("action", 7, message="", command=command_to_json(Pause()))
+        + line("action", 7, message="", command=command_to_json(Pause())),
+        encoding="utf-8",
     )
     assert read_recorded(path) == [Recorded(outer=2, command=kept)]
 
@@ -350,9 +354,9 @@ def test_a_frozen_surface_outlives_a_resumed_run(scene: Scene, tmp_path: Path):
 
 
 def test_a_replay_of_another_file_is_one_line(tmp_path: Path):
-    (tmp_path / "config.json").write_text('{\n  "method": "gaussian-sculpting"\n}\n')
+    (tmp_path / "config.json").write_text('{\n  "method": "gaussian-sculpting"\n}\n', encoding="utf-8")
     with pytest.raises(ConfigError, match=r"config.json holds no events; expected the events.jsonl of a run"):
         read_recorded(tmp_path / "config.json")
     # A run may be killed while it writes its first line.
-    (tmp_path / "events.jsonl").write_text('{"v": 1, "eve')
+    (tmp_path / "events.jsonl").write_text('{"v": 1, "eve', encoding="utf-8")
     assert read_recorded(tmp_path / "events.jsonl") == []

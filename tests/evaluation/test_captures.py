@@ -50,7 +50,7 @@ def rows(place: Path = OUT) -> list[dict[str, str]]:
 
 
 def started() -> int:
-    return len((OUT / "started.txt").read_text().splitlines())
+    return len((OUT / "started.txt").read_text(encoding="utf-8").splitlines())
 
 
 def test_which_captures_there_are(captures: Path):
@@ -96,13 +96,15 @@ def test_from_words_to_table_and_page(captures: Path, capsys: pytest.CaptureFixt
     refused = found["refused", "gaussian-sculpting"]
     assert (refused["status"], refused["error"]) == ("failed", "the data are no good")
 
-    page = (OUT / "tables.md").read_text()
+    page = (OUT / "tables.md").read_text(encoding="utf-8")
     assert re.search(r"\| ball \| openmvs \| [34]\.\d+ \|.* – \| – \| – \| – \| yes \| – \|", page)
     assert "| 1; 1 failed; the data are no good |" in page
     assert "without masks in files, taken as they are: bare." in page
     assert "folders that are no captures: looks." in page
-    assert "Residual between photographs" not in (OUT / "report.html").read_text(), "the fake keeps no residual"
-    assert "<svg" in (OUT / "report.html").read_text()
+    assert "Residual between photographs" not in (OUT / "report.html").read_text(encoding="utf-8"), (
+        "the fake keeps no residual"
+    )
+    assert "<svg" in (OUT / "report.html").read_text(encoding="utf-8")
     assert "measuring 3 meshes of ball" in said
     assert started() == 5 + 1, "runs, and a warm-up by which kernels are compiled"
 
@@ -118,7 +120,7 @@ def test_from_words_to_table_and_page(captures: Path, capsys: pytest.CaptureFixt
 
 @pytest.mark.slow
 def test_a_mesh_or_capture_that_cannot_be_measured_is_a_row_that_says_why(captures: Path):
-    (captures / "ball" / "openmvs.ply").write_text("no mesh")
+    (captures / "ball" / "openmvs.ply").write_text("no mesh", encoding="utf-8")
     (captures / "bare" / "images" / "3.png").write_bytes(b"no image")
     bench(["suite", "captures", "captures", "--objects", "ball", "bare", "--against", "openmvs.ply"])
     errors = {(row["capture"], row["mesh"]): row["error"] for row in rows()}
@@ -152,7 +154,7 @@ def test_what_has_no_truth_and_no_area(captures: Path):
     measured = bare.measure(load_mesh(captures / "bare" / "result.ply"))
     assert "distance" not in measured
     assert json.loads(json.dumps(measured)) == measured
-    (captures / "flat.obj").write_text("v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n")
+    (captures / "flat.obj").write_text("v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", encoding="utf-8")
     with pytest.raises(DataError, match="no area"):
         bare.measure(load_mesh(captures / "flat.obj"))
 
@@ -170,7 +172,7 @@ def test_with_real_runs(captures: Path, capsys: pytest.CaptureFixture[str], monk
     assert [row["status"] for row in found] == ["finished"] * 4
     assert all(float(row["residual_px"]) > 0 for row in found)
     assert all(float(row["t_wall_s"]) > 0 for row in found if row["mesh"] != "openmvs")
-    page = (OUT / "report.html").read_text()
+    page = (OUT / "report.html").read_text(encoding="utf-8")
     assert "Distance to the truth against time" in page
     assert "Residual between photographs against time" in page
     # The same figures as the command for one run.

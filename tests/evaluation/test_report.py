@@ -48,7 +48,7 @@ def run_dir(tmp_path: Path) -> Path:
     vertices, faces = np.array(shape.vertices, float), np.array(shape.faces, np.int64)
     write_mesh_ply(tmp_path / "mesh.ply", vertices, faces)
     rows = [{"t_train_s": t, "chamfer_ps": 0.01 / t, "psnr": 20 + t, "iou": 0.9, "faces": 100} for t in (1, 2, 4)]
-    (tmp_path / "curve.csv").write_text(header_line() + "".join(map(row_line, rows)))
+    (tmp_path / "curve.csv").write_text(header_line() + "".join(map(row_line, rows)), encoding="utf-8")
     metrics = {
         "status": "finished",
         "scene": "jar <1>",
@@ -62,8 +62,8 @@ def run_dir(tmp_path: Path) -> Path:
         "certificate": asdict(certify(vertices, faces)),
         "versions": {"torch": "2.13", "numba": None},
     }
-    (tmp_path / "metrics.json").write_text(json.dumps(metrics))
-    (tmp_path / "config.json").write_text(json.dumps({"field": {"type": "hash-grid"}}))
+    (tmp_path / "metrics.json").write_text(json.dumps(metrics), encoding="utf-8")
+    (tmp_path / "config.json").write_text(json.dumps({"field": {"type": "hash-grid"}}), encoding="utf-8")
     about = {"scene": "jar", "device": "cpu", "notes": ["grey images"], "inputs": {"train images": "ab12"}}
     events = [
         {"t_train": 0.0, "t_wall": 3.0, "event": "run_started", "data": about},
@@ -72,7 +72,7 @@ def run_dir(tmp_path: Path) -> Path:
         {"t_train": 4.0, "t_wall": 9.5, "event": "checkpoint", "data": {}},
         {"t_train": 6.0, "t_wall": 12.0, "event": "stage", "data": {}},
     ]
-    (tmp_path / "events.jsonl").write_text("\n".join(map(json.dumps, events)) + '\n{"event": "out')
+    (tmp_path / "events.jsonl").write_text("\n".join(map(json.dumps, events)) + '\n{"event": "out', encoding="utf-8")
     return tmp_path
 
 
@@ -123,7 +123,7 @@ def test_what_passed_before_a_measurement_is_not_measuring():
 def test_of_a_resumed_run_it_is_the_last_process(run_dir: Path):
     again = {"t_train": 6.0, "t_wall": 2.0, "event": "run_started", "data": {"scene": "jar"}}
     more = {"t_train": 8.0, "t_wall": 4.0, "event": "stage", "data": {}}
-    with open(run_dir / "events.jsonl", "a") as events:
+    with open(run_dir / "events.jsonl", "a", encoding="utf-8") as events:
         events.write(f"\n{json.dumps(again)}\n{json.dumps(more)}\n")
     lines = Page(write_report(run_dir, {})).text.splitlines()
     facts = dict(itertools.pairwise(lines))
@@ -133,12 +133,14 @@ def test_of_a_resumed_run_it_is_the_last_process(run_dir: Path):
 def test_the_plan_is_shown_where_there_is_one(run_dir: Path):
     assert "Plan" not in Page(write_report(run_dir, {})).text
     decision = {"item": "octree", "value": False, "evidence": "thin < 1 px", "saves": "2 s", "override": "--octree"}
-    (run_dir / "plan.json").write_text(json.dumps({"decisions": [decision, {"item": "masks", "value": "alpha"}]}))
+    (run_dir / "plan.json").write_text(
+        json.dumps({"decisions": [decision, {"item": "masks", "value": "alpha"}]}), encoding="utf-8"
+    )
     text = Page(write_report(run_dir, {})).text
     for word in ("Plan", "evidence", "thin < 1 px", "--octree", "masks", "alpha"):
         assert word in text
     assert text.splitlines().count("not measured") == 2, "seconds and megabytes that the octree would have taken"
-    (run_dir / "plan.json").write_text("[")
+    (run_dir / "plan.json").write_text("[", encoding="utf-8")
     with pytest.raises(DataError, match=r"plan\.json is not valid JSON"):
         write_report(run_dir, {})
 
@@ -157,10 +159,10 @@ def test_nothing_is_loaded_from_elsewhere(run_dir: Path):
 
 
 def test_a_run_without_reference_says_what_is_not_known(run_dir: Path):
-    (run_dir / "curve.csv").write_text(header_line() + row_line({"t_train_s": 1.0, "psnr": 20.0}))
-    metrics = json.loads((run_dir / "metrics.json").read_text())
+    (run_dir / "curve.csv").write_text(header_line() + row_line({"t_train_s": 1.0, "psnr": 20.0}), encoding="utf-8")
+    metrics = json.loads((run_dir / "metrics.json").read_text(encoding="utf-8"))
     metrics["final"]["chamfer_ps"] = None
-    (run_dir / "metrics.json").write_text(json.dumps(metrics))
+    (run_dir / "metrics.json").write_text(json.dumps(metrics), encoding="utf-8")
     page = write_report(run_dir, {})
     text = Page(page).text
     charts = page.read_text(encoding="utf-8").partition('<div class="charts">')[2].partition("</div>")[0]
@@ -179,7 +181,7 @@ def test_an_empty_run_directory_gives_a_page_too(tmp_path: Path):
 
 
 def test_broken_files_are_named(run_dir: Path):
-    (run_dir / "metrics.json").write_text("{")
+    (run_dir / "metrics.json").write_text("{", encoding="utf-8")
     with pytest.raises(DataError, match=r"metrics\.json is not valid JSON"):
         write_report(run_dir, {})
 

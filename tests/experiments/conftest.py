@@ -74,4 +74,4 @@ def fake_command(monkeypatch: pytest.MonkeyPatch) -> tuple[str, ...]:
 def started(folder: Path) -> list[str]:
     """The command lines that were started in an experiment's folder."""
     path = folder / "started.txt"
-    return path.read_text().splitlines() if path.exists() else []
+    return path.read_text(encoding="utf-8").splitlines() if path.exists() else []

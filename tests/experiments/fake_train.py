@@ -35,10 +35,10 @@ def main() -> None:
     with open(root / "started.txt", "a", encoding="utf-8") as started:
         started.write(" ".join(words) + "\n")
     if resumed:
-        words = json.loads((folder / "config.json").read_text())["words"]
+        words = json.loads((folder / "config.json").read_text(encoding="utf-8"))["words"]
     seed = int(words[words.index("--seed") + 1]) if "--seed" in words else 0
     config = {"method": words[0], "data": words[2], "seed": seed, "words": words}
-    (folder / "config.json").write_text(json.dumps(config))
+    (folder / "config.json").write_text(json.dumps(config), encoding="utf-8")
     act(10 if Path(words[2], "refused").exists() else seed, folder, root, resumed)
     if Path(words[2], "result.ply").exists():
         shutil.copy(Path(words[2], "result.ply"), folder / "mesh.ply")
@@ -102,8 +102,10 @@ def meet(folder: Path, root: Path) -> None:
 def finish(folder: Path, status: str, words: list[str]) -> None:
     chamfer = chamfer_of(words)
     final = {"chamfer_ps": chamfer, "psnr": 30.0, "fscore": 0.5, "faces": 1000, "outer": 7, "t_train_s": 3.0}
-    (folder / "curve.csv").write_text(CURVE + f"3,4,5,7,28,1000,1000,32,100,30,0.9,0.95,{chamfer},0.5,0.99,0.1\n")
-    (folder / "metrics.json").write_text(json.dumps({"status": status, "final": final}))
+    (folder / "curve.csv").write_text(
+        CURVE + f"3,4,5,7,28,1000,1000,32,100,30,0.9,0.95,{chamfer},0.5,0.99,0.1\n", encoding="utf-8"
+    )
+    (folder / "metrics.json").write_text(json.dumps({"status": status, "final": final}), encoding="utf-8")
 
 
 def chamfer_of(words: list[str]) -> float:

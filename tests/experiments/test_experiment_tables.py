@@ -34,12 +34,12 @@ def put(folder: Path, matrix: Matrix, name: str, chamfer: float | None, **final:
     """A finished run, or a failed one."""
     run_dir = run_folder(folder, next(cell for cell in matrix.cells if cell.name == name))
     run_dir.mkdir(parents=True)
-    (run_dir / "config.json").write_text('{"method": "gaussian-sculpting", "data": "demo:dents"}')
+    (run_dir / "config.json").write_text('{"method": "gaussian-sculpting", "data": "demo:dents"}', encoding="utf-8")
     if chamfer is None:
         Ledger(folder).set(name, CellState(status="failed", error="no surface"))
         return
     values = {"chamfer_ps": chamfer, "faces": 1000.0, **final}
-    (run_dir / "metrics.json").write_text(json.dumps({"status": "finished", "final": values}))
+    (run_dir / "metrics.json").write_text(json.dumps({"status": "finished", "final": values}), encoding="utf-8")
     Ledger(folder).set(name, CellState(status="finished"))
 
 
@@ -217,10 +217,10 @@ def test_seconds_are_of_all_processes_of_a_run_and_whole_numbers_are_whole(tmp_p
         {"t_train_s": 9.0, "t_wall_s": 5.0, "t_cpu_s": 7.0},
     ]
     run = run_folder(tmp_path, matrix.cells[0])
-    (run / "curve.csv").write_text(header_line() + "".join(map(row_line, rows)))
-    metrics = json.loads((run / "metrics.json").read_text())
+    (run / "curve.csv").write_text(header_line() + "".join(map(row_line, rows)), encoding="utf-8")
+    metrics = json.loads((run / "metrics.json").read_text(encoding="utf-8"))
     metrics["final"]["faces"] = 12345678
-    (run / "metrics.json").write_text(json.dumps(metrics))
+    (run / "metrics.json").write_text(json.dumps(metrics), encoding="utf-8")
     results = read_results(matrix, tmp_path)
     (table,) = plan_tables(results, [None])
     assert table.rows[0][7:10] == ("37.0", "7.0", "5.29")

@@ -140,7 +140,7 @@ def test_a_run_of_so_many_seconds_starts_again_from_the_beginning(make_matrix: M
 
 def test_no_process_outlives_the_runner(tmp_path: Path):
     interrupted_runner(tmp_path, "steps", signal.SIGTERM)
-    listing = subprocess.run(["ps", "-eo", "args"], capture_output=True, text=True, check=True).stdout
+    listing = subprocess.run(["ps", "-eo", "args"], capture_output=True, text=True, check=True, encoding="utf-8").stdout
     assert str(tmp_path) not in listing
 
 
@@ -255,7 +255,10 @@ def test_results_of_another_question_are_refused(make_matrix: MakeMatrix, board:
     with pytest.raises(ConfigError, match=r"holds another experiment: scene/s0 was run there as 'sculpt-train method"):
         run_matrix(make_matrix(0, timed=True), tmp_path, board)
     remember(make_matrix(5), tmp_path)
-    assert sorted(json.loads((tmp_path / "matrix.json").read_text())["cells"]) == ["scene/s0", "scene/s5"]
+    assert sorted(json.loads((tmp_path / "matrix.json").read_text(encoding="utf-8"))["cells"]) == [
+        "scene/s0",
+        "scene/s5",
+    ]
 
 
 @pytest.mark.parametrize(
@@ -264,7 +267,7 @@ def test_results_of_another_question_are_refused(make_matrix: MakeMatrix, board:
 def test_files_of_something_else_are_refused(
     name: str, content: str, make_matrix: MakeMatrix, board: SilentBoard, tmp_path: Path
 ):
-    (tmp_path / name).write_text(content)
+    (tmp_path / name).write_text(content, encoding="utf-8")
     with pytest.raises(ConfigError, match="give another --out"):
         run_matrix(make_matrix(0), tmp_path, board)
     assert started(tmp_path) == []
@@ -281,7 +284,12 @@ def test_the_ledger_is_whole_after_every_change(make_matrix: MakeMatrix, tmp_pat
 
     class Reader(SilentBoard):
         def started(self, cell: Cell, resumed: bool) -> None:
-            seen.append({n: s["status"] for n, s in json.loads((tmp_path / "state.json").read_text())["cells"].items()})
+            seen.append(
+                {
+                    n: s["status"]
+                    for n, s in json.loads((tmp_path / "state.json").read_text(encoding="utf-8"))["cells"].items()
+                }
+            )
 
     run_matrix(make_matrix(0, 10), tmp_path, Reader())
     assert seen == [{"scene/s0": "running"}, {"scene/s0": "finished", "scene/s10": "running"}]
@@ -302,6 +310,6 @@ def test_the_last_error(tmp_path: Path):
         ("Traceback\n  File\nValueError: no\n", "ValueError: no"),
         ("", "it said nothing"),
     ):
-        log.write_text(text)
+        log.write_text(text, encoding="utf-8")
         assert last_error(log) == expected
     assert last_error(tmp_path / "none").startswith("no log")

@@ -21,7 +21,14 @@ def test_an_ablation_is_run_and_not_run_again(tmp_path: Path):
     environment = {**os.environ, "OMP_NUM_THREADS": "2"}
     for _ in range(2):
         done = subprocess.run(
-            command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=600, check=False
+            command,
+            cwd=tmp_path,
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=600,
+            check=False,
+            encoding="utf-8",
         )
         assert done.returncode == 0, done.stderr
     assert "6 of 6 runs were done before." in done.stdout

@@ -70,9 +70,9 @@ def validated(folder: Path, name: str) -> dict[str, Any]:
     """The validator's report on a file in a folder, which its package is put into."""
     install(folder, *VALIDATOR)
     script = folder / "validate.cjs"
-    script.write_text(_VALIDATE)
+    script.write_text(_VALIDATE, encoding="utf-8")
     words = ["node", script, folder / name]
-    done = subprocess.run(words, cwd=folder, capture_output=True, text=True, timeout=120, check=True)
+    done = subprocess.run(words, cwd=folder, capture_output=True, text=True, timeout=120, check=True, encoding="utf-8")
     return json.loads(done.stdout)
 
 
@@ -118,7 +118,7 @@ def main() -> None:
                 shutil.copy(file, folder)
                 issues = validated(folder, file.name)["issues"]
                 camera = load_finished(run).scene.test[0].camera
-                (folder / "page.html").write_text(page_of(camera, file.name, 800))
+                (folder / "page.html").write_text(page_of(camera, file.name, 800), encoding="utf-8")
                 page = browser.open(f"{site}/page.html")
                 began = time.monotonic()
                 page.wait_for("drawn:")

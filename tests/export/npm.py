@@ -14,7 +14,7 @@ def install(folder: Path, package: str, version: str) -> Path:
         pytest.skip("no npm on PATH; on Debian: apt-get install npm")
     words = [npm, "install", "--no-audit", "--no-fund", "--ignore-scripts", "--prefix", folder, f"{package}@{version}"]
     try:
-        done = subprocess.run(words, capture_output=True, text=True, timeout=300, check=False)
+        done = subprocess.run(words, capture_output=True, text=True, timeout=300, check=False, encoding="utf-8")
     except subprocess.TimeoutExpired:
         pytest.skip(f"npm does not get {package} in five minutes")
     if done.returncode != 0:

@@ -55,4 +55,4 @@ def write_run(folder: Path, data: Path) -> None:
     folder.mkdir()
     write_mesh_ply(folder / "mesh.ply", vertices, faces, color_at(vertices))
     config = replace(gaussian_sculpting_tiny(), data=str(data))
-    (folder / "config.json").write_text(config_to_json(config))
+    (folder / "config.json").write_text(config_to_json(config), encoding="utf-8")

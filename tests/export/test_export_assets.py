@@ -29,7 +29,7 @@ def run_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
         frames.append({"file_path": f"train/{view.name}", "transform_matrix": matrix.tolist()})
     camera = view.camera
     document = {"fl_x": camera.fx, "frames": frames}
-    (scene / "transforms_train.json").write_text(json.dumps(document))
+    (scene / "transforms_train.json").write_text(json.dumps(document), encoding="utf-8")
     write_run(folder / "run", scene)
     return folder / "run"
 
@@ -106,12 +106,12 @@ def test_turntable_and_maps(run_dir: Path, tmp_path: Path, capsys: pytest.Captur
 
 
 def test_photographs_that_moved(run_dir: Path, tmp_path: Path):
-    config = json.loads((run_dir / "config.json").read_text())
+    config = json.loads((run_dir / "config.json").read_text(encoding="utf-8"))
     elsewhere = tmp_path / "run"
     elsewhere.mkdir()
     (elsewhere / "mesh.ply").write_bytes((run_dir / "mesh.ply").read_bytes())
     data = config["data"]
-    (elsewhere / "config.json").write_text(json.dumps(config | {"data": str(tmp_path / "gone")}))
+    (elsewhere / "config.json").write_text(json.dumps(config | {"data": str(tmp_path / "gone")}), encoding="utf-8")
     with pytest.raises(DataError, match=r"gone: no such folder.*--data DIR says where it is now"):
         _export(elsewhere, "--format", "ply", "--attributes")
     assert sorted(path.name for path in elsewhere.iterdir()) == ["config.json", "mesh.ply"]

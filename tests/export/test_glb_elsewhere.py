@@ -72,7 +72,7 @@ def test_three_js_shows_what_we_draw(
     name: str, folder: Path, textured: TexturedMesh, site: str, browser: Chromium, request: pytest.FixtureRequest
 ):
     camera = demo_cameras(1, SIDE, offset=3)[0]
-    (folder / f"{name}.html").write_text(page_of(camera, f"{name}.glb", SIDE))
+    (folder / f"{name}.html").write_text(page_of(camera, f"{name}.glb", SIDE), encoding="utf-8")
     page: Page = browser.open(f"{site}/{name}.html")
     request.addfinalizer(page.close)
     page.wait_for("drawn:")

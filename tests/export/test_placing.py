@@ -36,7 +36,7 @@ def write_run(folder: Path, shape: trimesh.Trimesh, frame: dict | None = None) -
     colors = np.hstack([1 - share, share, np.full_like(share, 0.25)])
     write_mesh_ply(folder / "mesh.ply", vertices, np.array(shape.faces, np.int64), colors)
     if frame is not None:
-        (folder / "frame.json").write_text(json.dumps(frame))
+        (folder / "frame.json").write_text(json.dumps(frame), encoding="utf-8")
     return folder
 
 
@@ -204,9 +204,9 @@ def test_up_and_metres_come_from_the_run_and_then_from_the_scene(tmp_path: Path)
     turn = trimesh.transformations.rotation_matrix(np.pi, [1, 0, 0])
     scene = tmp_path / "scene"
     scene.mkdir()
-    (scene / "frame.json").write_text('{"metres_per_unit": 0.04, "up": [0, 0, -1]}')
+    (scene / "frame.json").write_text('{"metres_per_unit": 0.04, "up": [0, 0, -1]}', encoding="utf-8")
     run_dir = write_run(tmp_path / "run", cone().apply_transform(turn), {"metres_per_unit": 0.05, "up": None})
-    (run_dir / "config.json").write_text(json.dumps({"data": str(scene)}))
+    (run_dir / "config.json").write_text(json.dumps({"data": str(scene)}), encoding="utf-8")
     run(run_dir, "--format", "stl", "--out", tmp_path / "a.stl")
     mesh = read(tmp_path / "a.stl")
     assert mesh.extents[2] == pytest.approx(100, rel=1e-6)
@@ -274,7 +274,7 @@ def test_mistakes_leave_nothing(words: tuple, error: type[Exception], message: s
     ],
 )
 def test_a_frame_file_that_is_none(text: str, complaint: str, run_dir: Path):
-    (run_dir / "frame.json").write_text(text)
+    (run_dir / "frame.json").write_text(text, encoding="utf-8")
     with pytest.raises(DataError, match=rf"frame\.json: {complaint}"):
         run(run_dir, "--format", "stl")
 

@@ -23,7 +23,13 @@ def slicer(*words: object, home: Path) -> str:
     command = [str(SLICER), *map(str, words)]
     # Its settings go where HOME is.
     done = subprocess.run(
-        command, capture_output=True, text=True, timeout=300, check=True, env={"HOME": str(home), "PATH": "/usr/bin"}
+        command,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=True,
+        env={"HOME": str(home), "PATH": "/usr/bin"},
+        encoding="utf-8",
     )
     return done.stdout + done.stderr
 

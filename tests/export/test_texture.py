@@ -152,7 +152,7 @@ def test_another_library_reads_it_back(kind: str, textured: TexturedMesh, tmp_pa
 
 def test_obj_stays_closed(textured: TexturedMesh, tmp_path: Path):
     write_textured_obj(tmp_path / "a.obj", textured)
-    lines = (tmp_path / "a.obj").read_text().splitlines()
+    lines = (tmp_path / "a.obj").read_text(encoding="utf-8").splitlines()
     assert sum(line.startswith("v ") for line in lines) == len(textured.vertices)
     with pytest.raises(ConfigError, match=r"my ball.obj: OBJ cannot name a material file with spaces"):
         write_textured_obj(tmp_path / "my ball.obj", textured)

@@ -67,7 +67,7 @@ def test_a_plain_ball_on_a_turntable_gets_its_cameras(
     # What is measured in the scene, from its cameras, is what was written.
     monkeypatch.setattr(sys, "argv", ["sculpt-data", "scale", str(tmp_path / "scene"), "--board", name])
     data()
-    again = json.loads((tmp_path / "scene" / "frame.json").read_text())
+    again = json.loads((tmp_path / "scene" / "frame.json").read_text(encoding="utf-8"))
     assert again["metres_per_unit"] == pytest.approx(1, rel=1e-3)
     assert degrees_between(again["up"], (0, 0, 1)) < 0.1
 
@@ -104,7 +104,7 @@ def test_views_that_do_not_show_the_board_are_named_and_left_out(
     assert "6 of 8 photographs have a camera" in told
     assert "left out: p03.png: shows 0 points" in told
     assert "left out: p05.png: shows" in told
-    frames = json.loads((tmp_path / "scene" / "transforms.json").read_text())["frames"]
+    frames = json.loads((tmp_path / "scene" / "transforms.json").read_text(encoding="utf-8"))["frames"]
     assert [Path(frame["file_path"]).stem for frame in frames] == ["p00", "p01", "p02", "p04", "p06", "p07"]
 
 
@@ -178,6 +178,6 @@ def test_what_cannot_be_done_is_told_before_anything_is_written(tmp_path: Path, 
         run(monkeypatch, tmp_path / "empty", "--board", "ring-5x6-30", "--out", out)
     assert not out.exists()
     out.mkdir()
-    (out / "notes.txt").write_text("mine")
+    (out / "notes.txt").write_text("mine", encoding="utf-8")
     with pytest.raises(OutputError, match=r"holds notes\.txt"):
         run(monkeypatch, shots, "--board", "ring-5x6-30", "--out", out)

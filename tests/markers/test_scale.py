@@ -208,7 +208,11 @@ def test_the_similarity_is_found_exactly_and_strays_are_left_out():
 def test_the_file_is_what_exporters_read(tmp_path: Path):
     frame = WorldFrame(metres_per_unit=0.25, up=(0.0, -1.0, 0.0), evidence={"up_from": "here"})
     path = write_frame(frame, tmp_path)
-    assert json.loads(path.read_text()) == {"metres_per_unit": 0.25, "up": [0.0, -1.0, 0.0], "up_from": "here"}
+    assert json.loads(path.read_text(encoding="utf-8")) == {
+        "metres_per_unit": 0.25,
+        "up": [0.0, -1.0, 0.0],
+        "up_from": "here",
+    }
     again = read_frame(path)
     assert (again.metres_per_unit, again.up, again.evidence) == (frame.metres_per_unit, frame.up, frame.evidence)
 
@@ -238,7 +242,7 @@ def test_what_is_not_measured_now_stays_as_it_was(ring: Scene):
 
 @pytest.mark.parametrize("text", ['{"metres_per_unit": -1}', '{"up": [0, 0, 0]}', '{"up": "z"}', "{"])
 def test_a_frame_that_is_none_is_told(text: str, tmp_path: Path):
-    (tmp_path / FRAME_NAME).write_text(text)
+    (tmp_path / FRAME_NAME).write_text(text, encoding="utf-8")
     with pytest.raises(DataError):
         read_frame(tmp_path / FRAME_NAME)
 

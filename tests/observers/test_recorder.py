@@ -30,7 +30,7 @@ def record(run_dir: Path, *events: Event, **options: float) -> None:
 
 
 def lines(run_dir: Path) -> list[dict]:
-    return [json.loads(line) for line in (run_dir / "events.jsonl").read_text().splitlines()]
+    return [json.loads(line) for line in (run_dir / "events.jsonl").read_text(encoding="utf-8").splitlines()]
 
 
 def test_events_are_json_lines_of_version_1(tmp_path: Path):
@@ -76,7 +76,7 @@ def test_the_curve_has_the_agreed_columns_and_blanks(tmp_path: Path):
         event("run_started", t_train=0.0),
         event("evaluation", t_train=1.25, psnr=21.5, chamfer_ps=None, faces=1000, reason="time", ssim=math.inf),
     )
-    header, row = (tmp_path / "curve.csv").read_text().splitlines()
+    header, row = (tmp_path / "curve.csv").read_text(encoding="utf-8").splitlines()
     assert header == COLUMNS == ",".join(CURVE_COLUMNS)
     assert row == "1.25,3.25,,3,,1000,,,,21.5" + "," * 13
     (read,) = read_curve(tmp_path / "curve.csv")
@@ -87,7 +87,7 @@ def test_the_curve_has_the_agreed_columns_and_blanks(tmp_path: Path):
 def test_a_curve_of_an_older_version_is_read(tmp_path: Path):
     """As they were before photographs were measured against: a column fewer each."""
     columns = COLUMNS.split(",psnr_fitted")[0]
-    (tmp_path / "curve.csv").write_text(f"{columns}\n1.5{',' * 8},20.5,,,0.01,,,0.3\n")
+    (tmp_path / "curve.csv").write_text(f"{columns}\n1.5{',' * 8},20.5,,,0.01,,,0.3\n", encoding="utf-8")
     (read,) = read_curve(tmp_path / "curve.csv")
     assert list(read) == list(CURVE_COLUMNS)
     assert (read["t_train_s"], read["psnr"], read["under10_pct"]) == (1.5, 20.5, 0.3)
@@ -114,7 +114,9 @@ def test_a_resumed_run_keeps_the_clock_monotone(tmp_path: Path):
         event("evaluation", t_train=4.5, psnr=9.0),
     )
     assert [row["t_train_s"] for row in read_curve(tmp_path / "curve.csv")] == [1.0, 2.0, 4.5]
-    broken = [line for line in (tmp_path / "events.jsonl").read_text().splitlines() if not line.endswith("}")]
+    broken = [
+        line for line in (tmp_path / "events.jsonl").read_text(encoding="utf-8").splitlines() if not line.endswith("}")
+    ]
     assert broken == ['{"v": 1, "t_tr']
 
 
@@ -131,7 +133,7 @@ def test_metrics_at_the_end(tmp_path: Path):
             milestones=[{"share": 1.0, "psnr": 30.0}],
         ),
     )
-    metrics = json.loads((tmp_path / "metrics.json").read_text())
+    metrics = json.loads((tmp_path / "metrics.json").read_text(encoding="utf-8"))
     assert metrics["schema"] == 1
     assert metrics["status"] == "finished"
     assert metrics["seed"] == 7
@@ -162,9 +164,9 @@ def test_what_is_not_a_curve_is_refused(tmp_path: Path):
     path = tmp_path / "curve.csv"
     with pytest.raises(DataError, match="cannot read"):
         read_curve(path)
-    path.write_text("a,b\n1,2\n")
+    path.write_text("a,b\n1,2\n", encoding="utf-8")
     with pytest.raises(DataError, match="no column"):
         read_curve(path)
-    path.write_text(header_line() + row_line({"psnr": 1.0}).replace("1,", "one,"))
+    path.write_text(header_line() + row_line({"psnr": 1.0}).replace("1,", "one,"), encoding="utf-8")
     with pytest.raises(DataError, match="line 2"):
         read_curve(path)

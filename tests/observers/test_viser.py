@@ -68,7 +68,7 @@ def eventually(condition: Callable[[], bool], seconds: float = 60.0) -> None:
 @pytest.fixture
 def run_dir(tmp_path: Path) -> Path:
     config = replace(registry.load_method("gaussian-sculpting-tiny")(), data="demo", observers=(RecorderConfig(),))
-    (tmp_path / "config.json").write_text(config_to_json(config))
+    (tmp_path / "config.json").write_text(config_to_json(config), encoding="utf-8")
     return tmp_path
 
 
@@ -95,7 +95,7 @@ def scripted(monkeypatch: pytest.MonkeyPatch, *lines: object) -> Started:
 
     def start(config: ViserConfig, run_dir: Path) -> "subprocess.Popen[str]":
         pipe = subprocess.PIPE
-        return subprocess.Popen([sys.executable, "-c", script], stdin=pipe, stdout=pipe, text=True)
+        return subprocess.Popen([sys.executable, "-c", script], stdin=pipe, stdout=pipe, text=True, encoding="utf-8")
 
     return Started(monkeypatch, start)
 
@@ -211,7 +211,7 @@ def test_the_real_page_answers_and_goes_with_the_run(run_dir: Path, monkeypatch:
 
 def test_the_viewer_needs_the_recorder(run_dir: Path):
     config = replace(registry.load_method("gaussian-sculpting-tiny")(), observers=(ViserConfig(),))
-    (run_dir / "config.json").write_text(config_to_json(config))
+    (run_dir / "config.json").write_text(config_to_json(config), encoding="utf-8")
     with pytest.raises(ConfigError, match="--observers viser recorder"):
         ViserObserver(ViserConfig(port=free_port()), run_dir)
 

@@ -14,10 +14,10 @@ def scene_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("scene") / "pebble"
     settings = DemoSettings(train_views=10, test_views=1, resolution=48, reference_cells=24)
     write_scene(demo_object("pebble"), settings, folder)
-    text = (folder / "transforms_train.json").read_text()
+    text = (folder / "transforms_train.json").read_text(encoding="utf-8")
     start, end = text.index("{", text.index("frames")), text.index("}", text.index("frames")) + 1
     again = text[start:end].replace("r_0", "again")
-    (folder / "transforms_train.json").write_text(text[:end] + ", " + again + text[end:])
+    (folder / "transforms_train.json").write_text(text[:end] + ", " + again + text[end:], encoding="utf-8")
     (folder / "train" / "again.png").write_bytes((folder / "train" / "r_0.png").read_bytes())
     return folder
 

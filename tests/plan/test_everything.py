@@ -9,4 +9,6 @@ STORED = Path(__file__).with_name("everything.json")
 
 
 def test_the_yardstick_is_frozen() -> None:
-    assert config_from_json(STORED.read_text()) == registry.load_method("gaussian-sculpting-everything")()
+    assert (
+        config_from_json(STORED.read_text(encoding="utf-8")) == registry.load_method("gaussian-sculpting-everything")()
+    )

@@ -87,7 +87,12 @@ def test_what_is_left_out_is_not_imported(scene_folder: Path) -> None:
     modules = {}
     for mode in ("on", "off"):
         done = subprocess.run(
-            [sys.executable, "-c", script, mode], capture_output=True, text=True, timeout=600, check=False
+            [sys.executable, "-c", script, mode],
+            capture_output=True,
+            text=True,
+            timeout=600,
+            check=False,
+            encoding="utf-8",
         )
         assert done.returncode == 0, done.stderr
         modules[mode] = set(done.stdout.split())
@@ -111,15 +116,15 @@ def test_a_run_keeps_its_plan_and_goes_on_with_it(
     folder = tmp_path / "run"
     config = replace(small(polish_gain_db=50.0), data=str(scene_folder), output=folder)
     run(config, resume=None, started=time.monotonic())
-    kept, plan = read_config(folder / "config.json"), json.loads((folder / "plan.json").read_text())
+    kept, plan = read_config(folder / "config.json"), json.loads((folder / "plan.json").read_text(encoding="utf-8"))
     decided = {decision["item"] for decision in plan["decisions"]}
     assert {"views", "places", "inner-steps"} <= decided
     assert kept.skip_views == ("train/again",)
     assert vars(kept.binder)["places"] == "fixed"
-    page = (folder / "report.html").read_text()
+    page = (folder / "report.html").read_text(encoding="utf-8")
     assert "What this scene did not need" in page
     assert "--plan.places off" in page
-    events = [json.loads(line) for line in (folder / "events.jsonl").read_text().splitlines()]
+    events = [json.loads(line) for line in (folder / "events.jsonl").read_text(encoding="utf-8").splitlines()]
     assert [event["event"] for event in events[:2]] == ["plan", "run_started"]
     assert events[1]["data"]["views"] == 8
     # After thirty of forty steps the later half had gained less than fifty decibels.
@@ -142,13 +147,13 @@ def test_a_run_keeps_its_plan_and_goes_on_with_it(
     before = (folder / "plan.json").read_bytes()
     run(request.config, resume=folder, started=time.monotonic())
     assert (folder / "plan.json").read_bytes() == before
-    assert json.loads((folder / "metrics.json").read_text())["status"] == "finished"
+    assert json.loads((folder / "metrics.json").read_text(encoding="utf-8"))["status"] == "finished"
 
 
 def test_a_plan_cannot_be_changed_on_resume(tmp_path: Path, scene_folder: Path) -> None:
     from sculpt_framework.serialization import config_to_json
 
-    (tmp_path / "config.json").write_text(config_to_json(replace(small(), data=str(scene_folder))))
+    (tmp_path / "config.json").write_text(config_to_json(replace(small(), data=str(scene_folder))), encoding="utf-8")
     with pytest.raises(ConfigError, match="plan cannot be changed"):
         read_request(["--resume", str(tmp_path), "--plan", "off"])
 

@@ -123,7 +123,7 @@ def test_photographs_in_the_scene_itself_are_not_removed_for_others(tmp_path: Pa
     assert len(list(own.iterdir())) == 4
     # Nor where a state of another version does not say whose they are.
     state = tmp_path / "scene" / ".posing" / "state.json"
-    state.write_text(json.dumps({"key": "other", "frames": [], "seconds": 1.0}))
+    state.write_text(json.dumps({"key": "other", "frames": [], "seconds": 1.0}), encoding="utf-8")
     with pytest.raises(OutputError, match="its images/ may be photographs that another call was given"):
         pose(others, tmp_path / "scene", PosingOptions(threads=2), Noted())
     assert len(list(own.iterdir())) == 4
@@ -137,8 +137,8 @@ def test_a_scene_of_other_photographs_is_not_begun_anew(tmp_path: Path):
         pose(second, tmp_path / "scene", PosingOptions(threads=2), Noted())
     # What an earlier version has begun with the same photographs goes on.
     state = tmp_path / "scene" / ".posing" / "state.json"
-    said = json.loads(state.read_text())
-    state.write_text(json.dumps({name: said[name] for name in ("key", "frames", "seconds")}))
+    said = json.loads(state.read_text(encoding="utf-8"))
+    state.write_text(json.dumps({name: said[name] for name in ("key", "frames", "seconds")}), encoding="utf-8")
     with pytest.raises(DataError, match="no cameras were found"):
         pose(first, tmp_path / "scene", PosingOptions(threads=2), Noted())
     # Other options of the same photographs begin anew.

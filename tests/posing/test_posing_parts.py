@@ -187,7 +187,7 @@ def test_a_folder_with_something_else_is_not_written_to(tmp_path: Path):
     for index in range(3):
         _photograph(tmp_path / "in" / f"{index}.jpg")
     (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "letter.txt").write_text("dear")
+    (tmp_path / "out" / "letter.txt").write_text("dear", encoding="utf-8")
     with pytest.raises(OutputError, match="exists and is not empty"):
         pose(tmp_path / "in", tmp_path / "out", PosingOptions(), Silent())
 
@@ -353,7 +353,7 @@ def test_an_outcome_is_read_back(tmp_path: Path):
         notes=("a note",),
         seconds=12.0,
     )
-    (tmp_path / "posing.json").write_text(outcome.to_json())
+    (tmp_path / "posing.json").write_text(outcome.to_json(), encoding="utf-8")
     assert read_outcome(tmp_path) == outcome
     said = "\n".join(outcome.lines(tmp_path))
     assert "5 of 9 photographs" in said

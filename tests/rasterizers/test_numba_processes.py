@@ -68,6 +68,7 @@ def _run(script: str, folder: Path, *words: str, **environment: str) -> str:
         check=False,
         cwd=folder,
         env={**os.environ, **environment},
+        encoding="utf-8",
     )
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout

@@ -231,7 +231,9 @@ def test_kernels_need_nothing_but_torch_and_triton():
 def _compile(capability: int, channels: int, folder: Path) -> dict[str, dict]:
     environment = {**os.environ, "TRITON_INTERPRET": "0", "TRITON_CACHE_DIR": str(folder)}
     command = [sys.executable, "-m", "tests.rasterizers.compile_kernels", str(capability), str(channels)]
-    done = subprocess.run(command, env=environment, cwd=ROOT, capture_output=True, text=True, timeout=300, check=False)
+    done = subprocess.run(
+        command, env=environment, cwd=ROOT, capture_output=True, text=True, timeout=300, check=False, encoding="utf-8"
+    )
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
 
@@ -305,7 +307,9 @@ def test_measuring_needs_a_gpu(capsys: pytest.CaptureFixture[str], monkeypatch: 
 def test_measuring_runs_as_a_file():
     """From a folder where none of this is on the path; the help text is enough to have imported everything."""
     command = [sys.executable, str(FOLDER / "measure.py"), "--help"]
-    done = subprocess.run(command, cwd=FOLDER, capture_output=True, text=True, timeout=120, check=False)
+    done = subprocess.run(
+        command, cwd=FOLDER, capture_output=True, text=True, timeout=120, check=False, encoding="utf-8"
+    )
     assert done.returncode == 0, done.stderr
     assert "--gaussians" in done.stdout
 

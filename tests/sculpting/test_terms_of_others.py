@@ -112,9 +112,13 @@ def named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Named:
         site = tmp_path / f"site-{name}"
         folder = site / f"of_others_{name}-1.0.dist-info"
         folder.mkdir(parents=True)
-        (folder / "METADATA").write_text(f"Metadata-Version: 2.1\nName: of-others-{name}\nVersion: 1.0\n")
+        (folder / "METADATA").write_text(
+            f"Metadata-Version: 2.1\nName: of-others-{name}\nVersion: 1.0\n", encoding="utf-8"
+        )
         value = f"{kind.__module__}:{kind.__qualname__}"
-        (folder / "entry_points.txt").write_text(f"[{registry.SLOTS['losses'].group}]\n{name} = {value}\n")
+        (folder / "entry_points.txt").write_text(
+            f"[{registry.SLOTS['losses'].group}]\n{name} = {value}\n", encoding="utf-8"
+        )
         monkeypatch.syspath_prepend(site)
 
     return give

@@ -41,7 +41,9 @@ def command(name: str, *words: str) -> list[str]:
 
 
 def run(name: str, *words: str) -> str:
-    done = subprocess.run(command(name, *words), capture_output=True, text=True, timeout=600, check=False)
+    done = subprocess.run(
+        command(name, *words), capture_output=True, text=True, timeout=600, check=False, encoding="utf-8"
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 
@@ -96,11 +98,14 @@ def test_it_is_watched_killed_and_resumed(name: str, scenes: Path, tmp_path: Pat
 
         def steps() -> int:
             events = folder / "events.jsonl"
-            return events.read_text().count('"outer_step"') if events.exists() else 0
+            return events.read_text(encoding="utf-8").count('"outer_step"') if events.exists() else 0
 
         try:
-            eventually(lambda: "viewer at" in log.read_text() or process.poll() is not None, found=log.read_text)
-            assert process.poll() is None, log.read_text()
+            eventually(
+                lambda: "viewer at" in log.read_text(encoding="utf-8") or process.poll() is not None,
+                found=log.read_text,
+            )
+            assert process.poll() is None, log.read_text(encoding="utf-8")
             with urllib.request.urlopen(f"http://127.0.0.1:{port}") as answer:
                 assert answer.status == 200
             eventually(lambda: (steps() >= 2 and saved.exists()) or process.poll() is not None, found=log.read_text)
@@ -109,8 +114,8 @@ def test_it_is_watched_killed_and_resumed(name: str, scenes: Path, tmp_path: Pat
     assert not (folder / "mesh.ply").exists()
     run("train", "--resume", str(folder), "--max-time", "8")
     assert is_closed(folder / "mesh.ply")
-    assert json.loads((folder / "metrics.json").read_text())
-    assert "<svg" in (folder / "report.html").read_text()
+    assert json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
+    assert "<svg" in (folder / "report.html").read_text(encoding="utf-8")
 
 
 @pytest.mark.slow

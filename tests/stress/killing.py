@@ -106,21 +106,24 @@ def broken_files(folder: Path) -> list[str]:
     reads(CONFIG_NAME, read_config)
     reads(f"{CHECKPOINTS}/{FILE_NAME}", lambda path: read_checkpoint(path.parent))
     reads("curve.csv", read_curve)
-    reads("metrics.json", lambda path: json.loads(path.read_text()))
+    reads("metrics.json", lambda path: json.loads(path.read_text(encoding="utf-8")))
     reads("mesh.ply", load_mesh)
     # A line that was being added may be cut; those before it may not.
-    reads("events.jsonl", lambda path: [json.loads(line) for line in path.read_text().splitlines(True)[:-1]])
+    reads(
+        "events.jsonl",
+        lambda path: [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines(True)[:-1]],
+    )
     return found
 
 
 def final(folder: Path) -> dict[str, object]:
-    metrics = json.loads((folder / "metrics.json").read_text())["final"]
+    metrics = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))["final"]
     return {name: value for name, value in metrics.items() if name not in TIMES}
 
 
 def until_first_checkpoint(folder: Path) -> float:
     """Seconds from a run's start until there is something to go on from."""
-    events = [json.loads(line) for line in (folder / "events.jsonl").read_text().splitlines()]
+    events = [json.loads(line) for line in (folder / "events.jsonl").read_text(encoding="utf-8").splitlines()]
     return next(event["t_wall"] for event in events if event["event"] == "checkpoint")
 
 

@@ -138,7 +138,7 @@ def test_paths_in_transforms_stay_in_the_folder(targets: dict[str, Target], path
     target = targets["transforms_train.json"]
     document = json.loads(target.original)
     document["frames"][0]["file_path"] = path
-    target.path.write_text(json.dumps(document))
+    target.path.write_text(json.dumps(document), encoding="utf-8")
     try:
         with pytest.raises(SculptError, match=r"1 of \d+ images are not there .*in .* alone"):
             target.read()

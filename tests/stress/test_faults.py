@@ -36,7 +36,9 @@ def environment() -> dict[str, str]:
 
 def killed(scene: Path, work: Path, kills: int, timeout: float) -> dict:
     command = [sys.executable, str(PROGRAM), str(scene), str(work), str(kills), "0"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=timeout, check=False, env=environment())
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=timeout, check=False, env=environment(), encoding="utf-8"
+    )
     assert done.returncode == 0, done.stderr[-2000:]
     return json.loads(done.stdout)
 

@@ -80,7 +80,7 @@ class Chromium:
     def __init__(self) -> None:
         self._folder = tempfile.TemporaryDirectory(prefix="chromium-", ignore_cleanup_errors=True)
         words = [find_chromium(), *_OPTIONS, f"--user-data-dir={self._folder.name}", "about:blank"]
-        self.process = subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
+        self.process = subprocess.Popen(words, stderr=subprocess.PIPE, text=True, encoding="utf-8")
         assert self.process.stderr is not None
         for line in self.process.stderr:
             found = re.search(r"DevTools listening on (ws://\S+)", line)

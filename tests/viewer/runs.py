@@ -47,7 +47,7 @@ def line(event: str, outer: int, t_train: float, **data: object) -> str:
 def make_run(folder: Path) -> Path:
     """A run of the demo that was at step 20 a moment ago, with two recorded steps and its newest state."""
     config = replace(registry.load_method("gaussian-sculpting-tiny")(), data="demo", observers=(RecorderConfig(),))
-    (folder / "config.json").write_text(config_to_json(config))
+    (folder / "config.json").write_text(config_to_json(config), encoding="utf-8")
     (folder / FOLDER).mkdir()
     for outer, size in ((1, 0.4), (10, 0.7)):
         write_frame(step_path(folder, outer), octahedron(size), outer=outer, t_train=outer / 10, whole=False)
@@ -59,6 +59,7 @@ def make_run(folder: Path) -> Path:
         + line("decision", 0, 0.0, item="initial surface", value="Sphere", fit_error=0.001)
         + "".join(line("outer_step", outer, outer / 10, loss=1 / outer, **step) for outer in range(1, 21))
         + line("evaluation", 10, 1.0, psnr=20.0, chamfer_ps=0.02, iou=0.9)
-        + line("evaluation", 20, 2.0, psnr=21.5, chamfer_ps=0.01, iou=None)
+        + line("evaluation", 20, 2.0, psnr=21.5, chamfer_ps=0.01, iou=None),
+        encoding="utf-8",
     )
     return folder

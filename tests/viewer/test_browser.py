@@ -290,7 +290,7 @@ def test_two_browsers_show_the_same_and_one_that_crashes_leaves_the_other_alone(
 
 def test_a_port_that_is_taken_is_one_line(run: Run, tmp_path: Path):
     words = train_words(tmp_path / "run", port=7031)
-    done = subprocess.run(words, capture_output=True, text=True, timeout=300, check=False)
+    done = subprocess.run(words, capture_output=True, text=True, timeout=300, check=False, encoding="utf-8")
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
     assert "cannot listen on 127.0.0.1:7031" in done.stderr
@@ -303,9 +303,9 @@ def test_stop_and_save_ends_the_run_with_a_mesh(run: Run, chromium: Chromium):
     page.click("Steer")
     page.click("Stop and save")
     eventually(lambda: run.process.poll() is not None)
-    assert run.process.returncode == 0, run.log.read_text()
+    assert run.process.returncode == 0, run.log.read_text(encoding="utf-8")
     assert run.steps < STEPS
-    assert json.loads((run.folder / "metrics.json").read_text())["status"] == "stopped"
+    assert json.loads((run.folder / "metrics.json").read_text(encoding="utf-8"))["status"] == "stopped"
     assert (run.folder / "mesh.ply").is_file()
     page.close()
 
@@ -330,7 +330,7 @@ def test_a_killed_run_can_be_looked_at(joint: Run, chromium: Chromium):
     run.kill()
     os.utime(run.folder / "events.jsonl", (1e9, 1e9))
     words = [sys.executable, "-m", "sculpt_framework.cli.view", str(run.folder), "--port", "7033"]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as view:
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, encoding="utf-8") as view:
         try:
             assert view.stdout is not None
             assert view.stdout.readline().strip() == "http://127.0.0.1:7033"

@@ -58,7 +58,7 @@ def test_events_are_read_as_they_are_written(tmp_path: Path):
     assert len(run.read_news()) == 25
     assert run.started["scene"] == "shape"
     text = line("outer_step", 21, 2.1, loss=0.0)
-    with open(tmp_path / "events.jsonl", "a") as file:
+    with open(tmp_path / "events.jsonl", "a", encoding="utf-8") as file:
         file.write(text[:20])
         file.flush()
         assert run.read_news() == []
@@ -90,7 +90,7 @@ def test_a_run_is_running_silent_or_ended(tmp_path: Path):
     assert run.status == "running"
     os.utime(tmp_path / "events.jsonl", (1e9, 1e9))
     assert run.status == "silent"
-    (tmp_path / "metrics.json").write_text('{"status": "stopped"}')
+    (tmp_path / "metrics.json").write_text('{"status": "stopped"}', encoding="utf-8")
     assert run.status == "stopped"
 
 
@@ -101,12 +101,12 @@ def test_a_run_that_goes_on_after_it_was_stopped_shows_what_is_newer(tmp_path: P
     frame = run.newest()
     assert frame is not None
     write_mesh_ply(tmp_path / "mesh.ply", frame.vertices, frame.faces, frame.colors)
-    (tmp_path / "metrics.json").write_text('{"status": "stopped"}')
-    with open(tmp_path / "events.jsonl", "a") as file:
+    (tmp_path / "metrics.json").write_text('{"status": "stopped"}', encoding="utf-8")
+    with open(tmp_path / "events.jsonl", "a", encoding="utf-8") as file:
         file.write(line("run_ended", 20, 2.0, status="stopped"))
     run.read_news()
     assert run.status == "stopped"
-    with open(tmp_path / "events.jsonl", "a") as file:
+    with open(tmp_path / "events.jsonl", "a", encoding="utf-8") as file:
         file.write(line("run_started", 20, 2.0, scene="shape", method="tiny", box=None, reference=None))
     run.read_news()
     assert run.status == "running"
@@ -118,7 +118,7 @@ def test_a_run_that_goes_on_after_it_was_stopped_shows_what_is_newer(tmp_path: P
     assert shown is not None
     assert shown.outer == 30
     # Of a finished run the result counts, also where copying has made its files alike in age.
-    (tmp_path / "metrics.json").write_text('{"status": "finished"}')
+    (tmp_path / "metrics.json").write_text('{"status": "finished"}', encoding="utf-8")
     result = run.newest()
     assert result is not None
     assert result.outer == -1

@@ -261,7 +261,7 @@ def test_a_browser_cannot_have_the_page_shared(show: Show, monkeypatch: pytest.M
 def test_a_page_in_one_file_needs_no_server(tmp_path: Path):
     out = tmp_path / "evolution.html"
     assert write_html(make_run(tmp_path), out) == 3
-    text = out.read_text()
+    text = out.read_text(encoding="utf-8")
     assert "__VISER_EMBED_DATA__" in text
     assert "<script src=" not in text
     assert 'rel="stylesheet" href=' not in text
@@ -284,6 +284,7 @@ def test_mistakes_are_one_line_and_exit_code_2(tmp_path: Path, words: list[str],
         text=True,
         timeout=60,
         check=False,
+        encoding="utf-8",
     )
     assert done.returncode == 2
     assert complaint in done.stderr
@@ -311,7 +312,9 @@ def test_a_machine_without_this_kind_of_address_says_so_in_one_line(monkeypatch:
 
 def test_a_run_without_a_viewer_imports_none_of_it():
     script = "import sculpt_framework.engine.run, sys; print(*sys.modules)"
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, timeout=120, check=True, encoding="utf-8"
+    )
     names = done.stdout.split()
     assert "sculpt_framework.engine.steering" in names
     assert not [

@@ -33,13 +33,13 @@ def test_a_steered_run_is_done_again_without_a_browser(tmp_path: Path):
         run.wait_for_command(do="add-box", kind="refine")
         run.wait_for_steps(2)
         give(run, "GuiButtonMessage", "Stop and save", True)
-        assert run.process.wait(timeout=120) == 0, run.log.read_text()
+        assert run.process.wait(timeout=120) == 0, run.log.read_text(encoding="utf-8")
     finally:
         run.kill()
     assert 0 < run.steps < STEPS
     again = tmp_path / "again"
     words = train_words(again, "--steps", str(STEPS), "--replay", str(run.folder / "events.jsonl"))
-    done = subprocess.run(words, capture_output=True, text=True, timeout=300, check=False)
+    done = subprocess.run(words, capture_output=True, text=True, timeout=300, check=False, encoding="utf-8")
     assert done.returncode == 0, done.stderr
     assert (again / "mesh.ply").read_bytes() == (run.folder / "mesh.ply").read_bytes()
     assert (again / "gaussians.ply").read_bytes() == (run.folder / "gaussians.ply").read_bytes()

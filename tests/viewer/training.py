@@ -47,8 +47,8 @@ class Run:
         with open(self.log, "wb") as log:
             self.process = subprocess.Popen(words, stdout=log, stderr=log)
         try:
-            eventually(lambda: "viewer at" in self.log.read_text() or self.process.poll() is not None)
-            assert self.process.poll() is None, self.log.read_text()
+            eventually(lambda: "viewer at" in self.log.read_text(encoding="utf-8") or self.process.poll() is not None)
+            assert self.process.poll() is None, self.log.read_text(encoding="utf-8")
         except AssertionError:
             self.kill()
             raise
@@ -56,7 +56,7 @@ class Run:
     @property
     def events(self) -> list[dict]:
         path = self.folder / "events.jsonl"
-        text = path.read_text() if path.exists() else ""
+        text = path.read_text(encoding="utf-8") if path.exists() else ""
         return [json.loads(line) for line in text[: text.rfind("\n") + 1].splitlines()]
 
     @property

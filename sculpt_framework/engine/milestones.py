@@ -65,7 +65,8 @@ class Milestones:
         """
         if self._stage_is_new:
             self._stage_is_new = False
-            return "stage"
+            if self._bearable:
+                return "stage"
         done = self.rows[-1]["progress"] if self.rows else 0.0
         if any(done < share <= progress for share in self._shares) and self._bearable:
             return "share"
@@ -97,7 +98,8 @@ class Milestones:
     @property
     def _usual(self) -> float:
         # Not the mean: what there is to start from takes longer, as it is extracted for it, and kernels are loaded.
-        return statistics.median(self._costs) if self._costs else 0.0
+        # Where surfaces grow, so does what they cost.
+        return max(statistics.median(self._costs), self._costs[-1]) if self._costs else 0.0
 
     def add(self, progress: float, row: dict[str, Any]) -> None:
         self.rows.append({**row, "progress": progress})

@@ -1,6 +1,8 @@
 """The steps that pycolmap does: features, matches, mapping. Each goes on where an earlier call was stopped."""
 
 import importlib
+import os
+import shutil
 import signal
 import threading
 from collections.abc import Callable, Sequence
@@ -14,7 +16,9 @@ from jaxtyping import Int64
 from sculpt_framework.errors import ComponentImportError, DataError
 from sculpt_framework.posed_images.distortion import Distortion, rectify
 from sculpt_framework.posed_images.lens import Pinhole
+from sculpt_framework.posing.features import read_features
 from sculpt_framework.posing.options import PosingOptions
+from sculpt_framework.posing.standing import standing
 
 if TYPE_CHECKING:
     import pycolmap
@@ -114,6 +118,39 @@ def extract(
             device=pycolmap.Device.cpu,
         )
         tell(min(start + step, len(names)), len(names))
+
+
+def leave_out_standing(database: Path, names: Sequence[str]) -> tuple[int, int]:
+    """Take features of a background that stands still out of the database; how many, of how many. It is changed at
+    once: a call that is killed leaves it as it was."""
+    import pycolmap
+
+    features = read_features(database, names)
+    count = sum(len(each.places) for each in features)
+    opened = pycolmap.Database.open(database)
+    sides = [max(camera.width, camera.height) for camera in opened.read_all_cameras()]
+    opened.close()
+    found = standing(features, max(sides))
+    if found is None:
+        return 0, count
+    changed = database.with_name("changed.db")
+    shutil.copyfile(database, changed)
+    opened = pycolmap.Database.open(changed)
+    images = [opened.read_image_with_name(name) for name in names]
+    kept = [
+        (image.image_id, opened.read_keypoints(image.image_id), opened.read_descriptors(image.image_id), ~gone)
+        for image, gone in zip(images, found, strict=True)
+        if image is not None
+    ]
+    # Descriptors cannot be replaced one by one.
+    opened.clear_descriptors()
+    for number, keypoints, descriptors, these in kept:
+        descriptors.data = np.asarray(descriptors.data)[these]
+        opened.update_keypoints(number, np.asarray(keypoints)[these])
+        opened.write_descriptors(number, descriptors)
+    opened.close()
+    os.replace(changed, database)
+    return sum(int(each.sum()) for each in found), count
 
 
 def match(database: Path, pairs: Sequence[tuple[str, str]], options: PosingOptions, tell: Tell) -> None:

@@ -41,6 +41,10 @@ _STRAIGHT = (
     "be wrong. Photographs nearer to the object tell more, or whole ones (--ignore-masks) where the surroundings do "
     "not move against it."
 )
+_STANDING = (
+    "{} of {} features are left out: they stand still while the object turns in front of the camera (background, "
+    "highlights)."
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,6 +59,8 @@ class _State:
     """Whether the photographs are those in the scene's own ``images/``, which are the user's."""
     frames: tuple[str, ...] = ()
     """Of a video, once all of them are written."""
+    standing: tuple[int, int] | None = None
+    """Features on a background that stands still, of how many, once they are left out."""
     seconds: float = 0.0
     """Of the steps that are finished."""
 
@@ -127,6 +133,8 @@ def _carry_out(at_work: _Posing, found: Photographs | None) -> Outcome:
     masks = None if options.ignore_masks else _write_masks(photographs, lenses, work / "masks")
     colmap.extract(database, images, names, masks, options, at_work.tell("finding features"))
     at_work.keep(at_work.state)
+    if masks is None and at_work.state.standing is None:
+        at_work.keep(replace(at_work.state, standing=colmap.leave_out_standing(database, names)))
     for name in ("models", "all", "straight"):
         shutil.rmtree(work / name, ignore_errors=True)
     pieces, compared = _placed_together(at_work, sorted(names, key=lenses.names.__getitem__), in_order=found is None)
@@ -143,6 +151,8 @@ def _carry_out(at_work: _Posing, found: Photographs | None) -> Outcome:
     notes = (*photographs.notes, *lenses.notes)
     if masks is not None:
         notes = (*notes, f"features are those inside the masks of {sum(m is not None for m in photographs.masks)}.")
+    if at_work.state.standing is not None and at_work.state.standing[0]:
+        notes = (*notes, _STANDING.format(*at_work.state.standing))
     if straight:
         notes = (*notes, _STRAIGHT)
     if len(models) < len(pieces):
@@ -196,7 +206,14 @@ def _begin(scene: Path, key: str, source: Path, announce: Announcer) -> _State:
             said = json.loads(kept.read_text(encoding="utf-8"))
             # Earlier versions did not say whose the images are: then they may be the user's.
             whose = {"source": said.get("source", ""), "inside": said.get("inside", True)}
-            state = _State(key=said["key"], frames=tuple(said["frames"]), seconds=said["seconds"], **whose)
+            found = said.get("standing")
+            state = _State(
+                key=said["key"],
+                frames=tuple(said["frames"]),
+                standing=None if found is None else (found[0], found[1]),
+                seconds=said["seconds"],
+                **whose,
+            )
         except (ValueError, TypeError, KeyError, AttributeError):
             state = replace(new, key="", inside=True)
         if state.key == key:

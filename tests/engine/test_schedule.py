@@ -322,3 +322,20 @@ def test_a_deadline_moves_only_to_the_front(monkeypatch: pytest.MonkeyPatch):
     counted = Schedule(8, None)
     counted.end_by(1.0)
     assert counted.progress(2) == 0.25
+
+
+def test_what_costs_more_each_time_is_not_measured_as_if_it_cost_what_it_did():
+    """Surfaces of Gaussians grow: the latest measurement tells what the next one costs, where it cost more."""
+    grown = Milestones(given=600.0)
+    for seconds in (22.0, 50.0, 150.0):
+        grown.charge(seconds)
+    assert grown.seconds_of_end == 300.0
+    grown.enter_stage()
+    assert grown.due(0.8, 0.5) is None
+    assert grown.due(0.9, 0.5) is None  # Nor is it made up for later.
+    shrunk = Milestones(given=600.0)
+    for seconds in (30.0, 2.0, 2.0):
+        shrunk.charge(seconds)
+    assert shrunk.seconds_of_end == 4.0
+    shrunk.enter_stage()
+    assert shrunk.due(0.8, 0.5) == "stage"

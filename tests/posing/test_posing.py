@@ -5,7 +5,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import torch
 from measure_poses import pose_errors, read_poses
-from textured_box import photographs, save
+from textured_box import FOCAL, Photograph, photographs, save
 
 import sculpt_framework
 from sculpt_framework.cli.data import data
@@ -203,6 +203,46 @@ def test_masks_keep_features_inside_and_go_with_the_scene(tmp_path: Path):
     assert max(columns) < 202
     scene = sculpt_framework.load(tmp_path / "out")
     assert all(view.alpha is not None for view in scene.train)
+
+
+def _on_a_turntable(shots: Sequence[Photograph], shift: float) -> list[Photograph]:
+    """The box on a disc of its floor, before a wall with a picture that stands still, but for the hand that holds the
+    camera: it moves the wall by up to so many pixels."""
+    rng = np.random.default_rng(3)
+    height, width = shots[0].image.shape[:2]
+    noise = rng.integers(0, 255, (height // 4, width // 4, 3), dtype=np.uint8)
+    wall = cv2.resize(noise, (width, height), interpolation=cv2.INTER_CUBIC)
+    columns, rows = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    focal = FOCAL * width
+    rays = np.stack([(columns - width / 2) / focal, (rows - height / 2) / focal, np.ones_like(rows)], axis=2)
+    out = []
+    for shot in shots:
+        rotation, place = shot.world_to_camera[:3, :3], -shot.world_to_camera[:3, :3].T @ shot.world_to_camera[:3, 3]
+        ahead = rays @ rotation
+        ground = place[:2] - ahead[..., :2] * (place[2] / ahead[..., 2:])
+        turning = ((ahead[..., 2] < 0) & (np.linalg.norm(ground, axis=2) < 1.1)).astype(np.uint8)
+        corners = np.array([(x, y, z) for x in (-0.6, 0.6) for y in (-0.6, 0.6) for z in (0, 1)])
+        seen = (corners - place) @ rotation.T
+        outline = cv2.convexHull((seen[:, :2] / seen[:, 2:] * focal + (width / 2, height / 2)).astype(np.int32))
+        cv2.fillConvexPoly(turning, outline, 1)
+        moved = np.array([[1, 0, rng.uniform(-shift, shift)], [0, 1, rng.uniform(-shift, shift)]])
+        behind = cv2.warpAffine(wall, moved, (width, height), borderMode=cv2.BORDER_REFLECT)
+        image = np.where(turning[..., None] > 0, shot.image, behind)
+        out.append(Photograph(image=image, world_to_camera=shot.world_to_camera))
+    return out
+
+
+@pytest.mark.slow
+def test_a_background_that_stands_still_places_no_camera(tmp_path: Path):
+    shots = _on_a_turntable(photographs(range(0, 360, 10), 480, 360), shift=12)
+    save(shots, tmp_path / "in")
+    outcome = pose(tmp_path / "in", tmp_path / "out", PosingOptions(threads=2), Noted())
+    assert outcome.registered == len(shots)
+    assert any("stand still" in note for note in outcome.notes)
+    known = {f"view {index:02}": shot.world_to_camera for index, shot in enumerate(shots)}
+    degrees = pose_errors(known, read_poses(str(tmp_path / "out"))).degrees
+    assert np.median(degrees) < 0.6
+    assert degrees.max() < 2
 
 
 @pytest.mark.slow

@@ -16,7 +16,7 @@ from sculpt_framework.posing.features import Features, matches
 from sculpt_framework.spread import spread
 
 if TYPE_CHECKING:
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
 _COMPARED = 32
 """Images that each image is compared with, spread over all of them."""
@@ -27,9 +27,10 @@ _TURN, _GROWTH = np.radians(20.0), np.log(1.25)
 """By how much direction and size of a feature may differ for it to be the same that stands still."""
 _FEWEST = 8
 """Matches of two images of which a shift can be told."""
-_FAR_SHARE = 0.3
-"""Of the matches between images that have few, the share that stands still where there is such a background: 0.54 of a
-head on a turntable in a room, none of what was photographed on a walk round it."""
+_SHARE, _VIEWS = 0.3, 0.2
+"""Of the matches of two images, the share that moves as the background does, and of the images compared with one, the
+share with which that is so, where there is such a background. A fifth: a camera may be moved to several heights, and on
+a walk round an object only neighbours are alike, a twentieth of all."""
 _ALIKE = 0.9
 """Cosine between descriptors of the same feature."""
 _AROUND = 4
@@ -54,17 +55,18 @@ def standing(features: Sequence[Features], longer_side: int) -> list[Bool[np.nda
     """Which features of each image are on a background that stands still, but for shifts of the whole image by up to a
     seventh of its longer side; None where there is no such background.
 
-    Of a background in motion, or of one that fewer than about a third of the matches between distant views are on,
-    nothing is found: then the object decides by itself.
+    Of a background in motion, and of one that few of the matches are on, nothing is found: then the object decides.
     """
     compared = spread(range(len(features)), _COMPARED)
     pairs = _pairs(features, compared)
     if not pairs:
         return None
     shifts = _shifts(pairs, len(features), longer_side)
-    shares = np.array([_still(pair, shifts, longer_side) / pair.matches for pair in pairs])
-    counts = np.array([pair.matches for pair in pairs])
-    if np.median(shares[counts <= np.median(counts)]) < _FAR_SHARE:
+    before_it = np.zeros((len(features), len(features)), bool)
+    for pair in pairs:
+        if _still(pair, shifts, longer_side) >= _SHARE * pair.matches:
+            before_it[pair.first, pair.second] = before_it[pair.second, pair.first] = True
+    if np.median(before_it[:, compared].mean(axis=1)) < _VIEWS:
         return None
     times = _found_again(features, compared, shifts, longer_side)
     return [each >= max(3, _SEEN_AGAIN * len(compared)) for each in times]
@@ -132,12 +134,12 @@ def _found_again(
     features: Sequence[Features], compared: Sequence[int], shifts: Float64[np.ndarray, "v 2"], longer_side: int
 ) -> list[Int64[np.ndarray, " _"]]:
     """In how many of the compared images each feature is where the background would have it."""
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
     times = [np.zeros(len(each.places), np.int64) for each in features]
     for other in compared:
         if len(features[other].places):
-            tree = cKDTree(features[other].places)
+            tree = KDTree(features[other].places)
             for number, own in enumerate(features):
                 if number != other and len(own.places):
                     shift = shifts[other] - shifts[number]
@@ -146,10 +148,10 @@ def _found_again(
 
 
 def _found(
-    own: Features, theirs: Features, tree: "cKDTree", shift: Float64[np.ndarray, " 2"], reach: float
+    own: Features, theirs: Features, tree: "KDTree", shift: Float64[np.ndarray, " 2"], reach: float
 ) -> Bool[np.ndarray, " n"]:
     """Which features are found again in another image, shifted by so much."""
-    _, there = tree.query(own.places + shift, k=_AROUND, distance_upper_bound=reach)
+    there = np.asarray(tree.query(own.places + shift, k=_AROUND, distance_upper_bound=reach)[1])
     one, place = np.nonzero(there < tree.n)  # Where fewer are around, the rest have the number of all.
     mine, other = own.at(one), theirs.at(there[one, place])
     alike = np.einsum("nc,nc->n", mine.directions(), other.directions()) > _ALIKE

@@ -31,6 +31,10 @@ _SHARE, _VIEWS = 0.3, 0.2
 """Of the matches of two images, the share that moves as the background does, and of the images compared with one, the
 share with which that is so, where there is such a background. A fifth: a camera may be moved to several heights, and on
 a walk round an object only neighbours are alike, a twentieth of all."""
+_IMAGES = 16
+"""Fewer are neighbours of each other for the most part, and between neighbours anything may seem to stand still."""
+_MOST = 0.5
+"""Share of the features of most images: where more stand still, the camera has hardly moved, and all are needed."""
 _ALIKE = 0.9
 """Cosine between descriptors of the same feature."""
 _AROUND = 4
@@ -57,6 +61,8 @@ def standing(features: Sequence[Features], longer_side: int) -> list[Bool[np.nda
 
     Of a background in motion, and of one that few of the matches are on, nothing is found: then the object decides.
     """
+    if len(features) < _IMAGES:
+        return None
     compared = spread(range(len(features)), _COMPARED)
     pairs = _pairs(features, compared)
     if not pairs:
@@ -69,7 +75,8 @@ def standing(features: Sequence[Features], longer_side: int) -> list[Bool[np.nda
     if np.median(before_it[:, compared].mean(axis=1)) < _VIEWS:
         return None
     times = _found_again(features, compared, shifts, longer_side)
-    return [each >= max(3, _SEEN_AGAIN * len(compared)) for each in times]
+    found = [each >= _SEEN_AGAIN * len(compared) for each in times]
+    return None if np.median([each.mean() for each in found if len(each)]) > _MOST else found
 
 
 def _pairs(features: Sequence[Features], compared: Sequence[int]) -> list[_Pair]:

@@ -18,10 +18,12 @@ MODULES = {"sculpt-data": "data", "sculpt-train": "train", "sculpt-export": "exp
 
 
 def _commands() -> list[list[str]]:
-    """Each once, in the order of the page, but for those that pose photographs and wait for a person."""
+    """Each once, in the order of the page, but for those that pose photographs (tests/posing) and wait for a person."""
     found = re.findall(r"(?:^    |`)(sculpt-(?:data|train|export) [^`\n]+)", PAGE.read_text(encoding="utf-8"), re.M)
     kept = [
-        line for line in dict.fromkeys(found) if not re.search("RUN_DIR|--attributes$|^sculpt-data (pose|box)", line)
+        line
+        for line in dict.fromkeys(found)
+        if not re.search("RUN_DIR|--attributes$|^sculpt-data (pose|box)|--data photographs", line)
     ]
     return [shlex.split(line) for line in kept]
 

@@ -8,7 +8,7 @@ import pytest
 from sculpt_framework.posing.features import Features
 from sculpt_framework.posing.standing import standing
 
-WIDTH, VIEWS, OBJECT, BACKGROUND = 1000, 24, 600, 400
+WIDTH, VIEWS, OBJECT, BACKGROUND = 1000, 24, 600, 200
 FOCAL = 1200.0
 SHIFT = 0.04
 """Of the width, by which a hand moves the camera between photographs."""
@@ -116,4 +116,12 @@ def test_images_without_features_have_none_of_it():
     assert found is not None
     assert len(found[0]) == 0
     assert found[-1].tolist() == [False]
-    assert standing([nothing] * 5, WIDTH) is None
+    assert standing([nothing] * VIEWS, WIDTH) is None
+
+
+def test_a_camera_that_hardly_moves_is_before_no_background():
+    assert standing(capture(behind)[0], WIDTH) is None
+
+
+def test_a_few_views_do_not_tell():
+    assert standing(capture(turned, behind)[0][:8], WIDTH) is None

@@ -33,8 +33,8 @@ share with which that is so, where there is such a background. A fifth: a camera
 a walk round an object only neighbours are alike, a twentieth of all."""
 _IMAGES = 16
 """Fewer are neighbours of each other for the most part, and between neighbours anything may seem to stand still."""
-_MOST = 0.5
-"""Share of the features of most images: where more stand still, the camera has hardly moved, and all are needed."""
+_MOST = 0.9
+"""Share of the features of most images: where more stand still, there is nothing before the background."""
 _ALIKE = 0.9
 """Cosine between descriptors of the same feature."""
 _AROUND = 4

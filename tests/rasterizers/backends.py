@@ -12,6 +12,7 @@ from sculpt_framework.rasterizers import Rasterizer
 from sculpt_plugins.rasterizers.gsplat.config import GsplatRasterizerConfig
 from sculpt_plugins.rasterizers.numba.config import NumbaRasterizerConfig
 from sculpt_plugins.rasterizers.triton.config import TritonRasterizerConfig
+from tests.interpreting import spare_the_interpreter
 from tests.rasterizers.splats import Splats, random_splats
 
 CPU = torch.device("cpu")
@@ -32,10 +33,12 @@ class Backend:
     def rasterizer(self) -> Rasterizer:
         return self.config.build(self.device)
 
-    def cloud(self, count: int = 150, channels: int = 3, width: int = 45, height: int = 37, seed: int = 0) -> Splats:
-        """Random splats, as many as asked for and on as large an image, or a fifth as many on four small tiles."""
+    def cloud(
+        self, count: int = 150, channels: int = 3, width: int = 45, height: int = 37, seed: int = 0, tiles: int = 2
+    ) -> Splats:
+        """Random splats, as many as asked for and on as large an image, or a fifth as many on so few tiles."""
         if self.interpreted:
-            width, height = min(width, 14), min(height, 11)
+            width, height = min(width, 14), min(height, 8 if tiles == 2 else 11)
             return random_splats(count=count // 5, channels=channels, width=width, height=height, seed=seed, focal=14.0)
         return random_splats(count=count, channels=channels, width=width, height=height, seed=seed)
 
@@ -53,6 +56,7 @@ def triton() -> Backend:
     from triton.runtime.interpreter import InterpretedFunction
 
     assert isinstance(a_function_of_tritons_own, InterpretedFunction), "triton was imported before conftest.py was"
+    spare_the_interpreter()
     return Backend(config=TritonRasterizerConfig(), device=CPU, interpreted=True)
 
 

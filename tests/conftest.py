@@ -51,10 +51,17 @@ def pytest_collection_finish() -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def few_samples() -> None:
-    """Runs of a second are measured with fewer points than results deserve, which would take three."""
-    from sculpt_framework.evaluation import evaluator
+    """Runs of a second begin and are measured with fewer points than results deserve, which would take three.
 
-    evaluator.CURVE_SAMPLES, evaluator.RESULT_SAMPLES = 4_000, 10_000
+    And small pictures of demo objects are rendered at once, not reduced from some with five times as many rays.
+    """
+    from sculpt_framework.demo_scenes import tracing
+    from sculpt_framework.evaluation import evaluator
+    from sculpt_framework.shape_from_images import field_fit
+
+    evaluator.CURVE_SAMPLES, evaluator.RESULT_SAMPLES = 1_000, 4_000
+    field_fit._SAMPLES = 4_000
+    tracing._FINEST = 96
 
 
 @pytest.fixture

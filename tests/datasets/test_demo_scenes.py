@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from sculpt_framework.demo_scenes import tracing
 from sculpt_framework.demo_scenes.cameras import demo_cameras
 from sculpt_framework.demo_scenes.distance import sphere
 from sculpt_framework.demo_scenes.objects import OBJECTS, DemoObject, demo_object
@@ -130,7 +131,8 @@ def test_dents_are_deeper_than_any_silhouette_shows() -> None:
         assert blocked.all()
 
 
-def test_small_pictures_are_reduced_from_larger_ones() -> None:
+def test_small_pictures_are_reduced_from_larger_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tracing, "_FINEST", 240)
     camera = demo_cameras(1, 60)[0]
     rgb, alpha = render(OBJECTS["blob"], camera)
     large, cover = render(OBJECTS["blob"], camera.resized(240, 240))

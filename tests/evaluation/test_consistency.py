@@ -18,7 +18,7 @@ ORIGIN = np.zeros(3)
 
 @pytest.fixture(scope="module")
 def views() -> list[View]:
-    return [view_of_ball(camera) for camera in ring(4, 12, 480)]
+    return [view_of_ball(camera) for camera in ring(4, 12, 320)]
 
 
 @pytest.fixture(scope="module")

@@ -16,11 +16,11 @@ from sculpt_framework.plan.make import decide
 from sculpt_framework.sculpting.config import PlanConfig
 from sculpt_framework.types import Box, Scene, View
 
-SCALE = 0.6
+SCALE = 0.5
 """Of the pictures' sides and of the grid, so that cells are as many pixels wide as in the scene itself."""
 
 
-def scene_of(name: str, views: int = 24) -> Scene:
+def scene_of(name: str, views: int) -> Scene:
     item = demo_object(name)
     pictures = []
     for index, camera in enumerate(demo_cameras(views, round(SCALE * item.resolution), placement=item.seen_from)):
@@ -44,9 +44,9 @@ def decided(evidence: Evidence, config: MethodConfig | None = None) -> tuple[Met
     return result, {decision.item: decision for decision in decisions}
 
 
-def evidence_of(name: str) -> Evidence:
+def evidence_of(name: str, views: int = 16) -> Evidence:
     """With pixels as wide as in the scene itself."""
-    found = gather(scene_of(name))
+    found = gather(scene_of(name, views))
     return replace(
         found,
         pixel_best=SCALE * found.pixel_best,

@@ -23,7 +23,7 @@ def test_a_matt_scene_gets_degree_0_and_one_gaussian() -> None:
 
 
 def test_a_shiny_scene_gets_a_higher_degree() -> None:
-    config, changed = decided(evidence_of("flask"))
+    config, changed = decided(evidence_of("flask", 24))
     assert vars(config.appearance)["sh_degree"] >= 2
     assert changed["sh-degree"].measured["gloss"] > 0.1
 

@@ -8,7 +8,7 @@ import pytest
 from sculpt_framework.posing.features import Features
 from sculpt_framework.posing.standing import standing
 
-WIDTH, VIEWS, OBJECT, BACKGROUND = 1000, 24, 600, 200
+WIDTH, VIEWS, OBJECT, BACKGROUND = 1000, 24, 300, 100
 FOCAL = 1200.0
 SHIFT = 0.04
 """Of the width, by which a hand moves the camera between photographs."""

@@ -83,7 +83,7 @@ def aside(view: View) -> View:
 @pytest.mark.parametrize("seen", [lambda view: view, aside])
 def test_depths_are_right(views: list[View], seen: Callable[[View], View]):
     """Also where the object is not in the middle of the images: depths are along the axis."""
-    views = [seen(view) for view in views]
+    views = [seen(view) for view in views[::2]]
     packed = pack_views(views, 32.0)
     maps = find_depths(packed, sample(visual_hull(views, 100), (1.0, 1.0, 1.0), 64, CPU), OPTIONS)
     assert maps.known > 0.7
@@ -127,7 +127,7 @@ def test_no_masks_are_refused(views):
 def test_images_of_different_sizes_are_packed(views):
     small = View(
         name="small",
-        camera=views[0].camera.resized(48, 48),
+        camera=views[0].camera.resized(SIDE // 2, SIDE // 2),
         rgb=views[0].rgb[::2, ::2].contiguous(),
         alpha=views[0].alpha[::2, ::2].contiguous(),
     )
@@ -159,9 +159,13 @@ def exact_depths(packed: PackedViews, distance: Callable[[np.ndarray], np.ndarra
         ray = np.stack([(columns + 0.5 - lens[2]) / lens[0], (rows + 0.5 - lens[3]) / lens[1], np.ones(len(rows))])
         ray = pose[:, :3].T @ ray
         depth = np.full(len(rows), np.linalg.norm(packed.positions[i]) - 1)
+        on_the_way = np.arange(len(rows))
         for _ in range(200):
-            gap = distance(packed.positions[i][:, None].astype(float) + depth * ray)
-            depth += 0.9 * np.minimum(gap, 0.5) / np.linalg.norm(ray, axis=0)
+            gap = distance(packed.positions[i][:, None].astype(float) + depth[on_the_way] * ray[:, on_the_way])
+            depth[on_the_way] += 0.9 * np.minimum(gap, 0.5) / np.linalg.norm(ray[:, on_the_way], axis=0)
+            on_the_way = on_the_way[np.abs(gap) > 1e-6]
+            if len(on_the_way) == 0:
+                break
         gap = np.abs(distance(packed.positions[i][:, None].astype(float) + depth * ray))
         depths[i, rows, columns] = np.where(gap < 1e-3, depth, np.nan)
     return depths

@@ -1,8 +1,10 @@
-"""The commands once, as a user runs them: train, look, measure, export, resume."""
+"""The commands once: train, as a user runs it, then look, measure, export and resume, in this process."""
 
+import importlib
 import json
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -23,16 +25,17 @@ FILES = [
     "report.html",
 ]
 Finished = subprocess.CompletedProcess[str]
+Here = Callable[..., Finished]
 
 
-def command(environment: dict[str, str], module: str, *words: str | Path) -> Finished:
-    code = f"""
+def trained_by(environment: dict[str, str], *words: str | Path) -> Finished:
+    code = """
 import sys
-from sculpt_framework.cli.{module} import main
+from sculpt_framework.cli.train import main
 from sculpt_framework.evaluation import evaluator
 
 # As in conftest.py, whose fixtures do not reach this process.
-evaluator.CURVE_SAMPLES, evaluator.RESULT_SAMPLES = 4_000, 10_000
+evaluator.CURVE_SAMPLES, evaluator.RESULT_SAMPLES = 1_000, 4_000
 sys.argv[0] = "sculpt"
 main()
 """
@@ -42,11 +45,31 @@ main()
     )
 
 
+@pytest.fixture
+def here(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Here:
+    """``here("train", *words)``: that command, which a process of its own would import all again for."""
+
+    def command(module: str, *words: str | Path) -> Finished:
+        arguments = ["sculpt", *map(str, words)]
+        monkeypatch.setenv("COLUMNS", "200")
+        monkeypatch.setattr(sys, "argv", arguments)
+        capfd.readouterr()
+        code: object = 0
+        try:
+            importlib.import_module(f"sculpt_framework.cli.{module}").main()
+        except SystemExit as end:
+            code = end.code
+        out, err = capfd.readouterr()
+        return Finished(args=arguments, returncode=int(str(code)), stdout=out, stderr=err)
+
+    return command
+
+
 @pytest.fixture(scope="module")
 def trained(command_environment: dict[str, str], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Finished]:
     folder = tmp_path_factory.mktemp("commands") / "run"
     words = ["gaussian-sculpting-tiny", "--data", "demo", "--output", folder, *OPTIONS.split()]
-    return folder, command(command_environment, "train", *words)
+    return folder, trained_by(command_environment, *words)
 
 
 def require_one_line(done: Finished, code: int, *parts: str) -> None:
@@ -74,34 +97,30 @@ def test_training_leaves_every_file(trained: tuple[Path, Finished]):
     assert page.count("data:image/png;base64") == 9
 
 
-def test_a_finished_run_is_measured_and_exported(
-    trained: tuple[Path, Finished], command_environment: dict[str, str], tmp_path: Path
-):
+def test_a_finished_run_is_measured_and_exported(trained: tuple[Path, Finished], here: Here, tmp_path: Path):
     folder, _ = trained
-    done = command(command_environment, "evaluate", folder, "--json", "--samples", "5000")
+    done = here("evaluate", folder, "--json", "--samples", "5000")
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)
-    done = command(command_environment, "export", folder, "--format", "obj", "--out", tmp_path / "mesh.obj")
+    done = here("export", folder, "--format", "obj", "--out", tmp_path / "mesh.obj")
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "mesh.obj").read_text(encoding="utf-8").count("\nf ") > 100
 
 
-def test_a_finished_run_is_left_alone(trained: tuple[Path, Finished], command_environment: dict[str, str]):
+def test_a_finished_run_is_left_alone(trained: tuple[Path, Finished], here: Here):
     folder, _ = trained
     before = {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
-    done = command(command_environment, "train", "--resume", folder)
+    done = here("train", "--resume", folder)
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("\n") == 1
     assert "has finished already" in done.stdout
     assert {path: path.stat().st_mtime_ns for path in folder.rglob("*")} == before
 
 
-def test_a_damaged_checkpoint_is_one_line(
-    trained: tuple[Path, Finished], command_environment: dict[str, str], tmp_path: Path
-):
+def test_a_damaged_checkpoint_is_one_line(trained: tuple[Path, Finished], here: Here, tmp_path: Path):
     folder = tmp_path / "run"
     (folder / "checkpoints").mkdir(parents=True)
     (folder / "config.json").write_bytes((trained[0] / "config.json").read_bytes())
     checkpoint = folder / "checkpoints" / "latest.safetensors"
     checkpoint.write_bytes((trained[0] / "checkpoints" / "latest.safetensors").read_bytes()[:1000])
-    require_one_line(command(command_environment, "train", "--resume", folder), 2, "damaged")
+    require_one_line(here("train", "--resume", folder), 2, "damaged")

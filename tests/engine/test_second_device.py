@@ -164,7 +164,7 @@ def test_free_gaussians_live_on_another_device(name: str, scene: Scene, monkeypa
     config = sculpt.methods[name]()
     assert isinstance(config, FreeGaussiansConfig)
     across = AcrossConfig(drawing=NumbaRasterizerConfig())
-    small = replace(config, steps=12, gaussians=300, mesh_cells=16, density=replace(config.density, every=5))
+    small = replace(config, steps=8, gaussians=150, mesh_cells=12, density=replace(config.density, every=3))
     if isinstance(small, SugarConfig):
         small = replace(small, clear=0.01)  # In so few steps none gets opaque.
     with everything_away(monkeypatch):

@@ -48,9 +48,9 @@ def announce(client: Connection) -> None:
     )
 
 
-def received(client: Connection, seconds: float) -> list[dict[str, Any]]:
-    """Messages the server sends until it is silent for so long."""
-    return [message for data in received_bytes(client, seconds) for message in _messages(data)]
+def received(client: Connection, seconds: float, *, first: float | None = None) -> list[dict[str, Any]]:
+    """Messages the server sends until it is silent for so long; ``first`` is as in ``received_bytes``."""
+    return [message for data in received_bytes(client, seconds, first=first) for message in _messages(data)]
 
 
 def received_bytes(client: Connection, seconds: float, *, first: float | None = None) -> list[bytes]:

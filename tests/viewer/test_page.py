@@ -66,7 +66,7 @@ def address(show: Show) -> str:
 
 def told(show: Show) -> list[dict]:
     with connected(address(show)) as client:
-        return received(client, 0.7)
+        return received(client, 0.4, first=5.0)
 
 
 def text_of(show: Show) -> str:

@@ -60,8 +60,8 @@ def few_samples() -> None:
     from sculpt_framework.shape_from_images import field_fit
 
     evaluator.CURVE_SAMPLES, evaluator.RESULT_SAMPLES = 1_000, 4_000
-    field_fit._SAMPLES = 4_000
-    tracing._FINEST = 96
+    field_fit.SAMPLES = 4_000
+    tracing.FINEST = 96
 
 
 @pytest.fixture

@@ -23,7 +23,7 @@ _STEP = 6e-3  # Shortest step, in world units: a pixel, but along the ray.
 _HALVINGS = 6  # To a hundredth of a pixel.
 _PATIENCE = 24  # Steps after which the shortest step grows, for the few rays that run along the surface.
 _STEPS = 130  # Enough to cross the ball by shortest steps.
-_FINEST = 240  # Images with fewer pixels along a side are rendered larger and reduced: their texture would alias.
+FINEST = 240  # Images with fewer pixels along a side are rendered larger and reduced: their texture would alias.
 _SAMPLES = 4  # Rays along each side of a pixel that is traced again.
 _DEPTH_JUMP = 0.04
 _LIGHT = (0.36, -0.48, 0.8)
@@ -33,7 +33,7 @@ _SHARPNESS = 24  # Phong's exponent: highlights some 30 degrees wide.
 
 def render(item: DemoObject, camera: Camera) -> tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]]:
     """sRGB colour (straight) and coverage of every pixel; colour is 0 where coverage is."""
-    factor = -(-_FINEST // max(camera.width, camera.height))
+    factor = -(-FINEST // max(camera.width, camera.height))
     if factor > 1:
         rgb, alpha = render(item, camera.resized(camera.width * factor, camera.height * factor))
         return _reduce(rgb, alpha, factor)

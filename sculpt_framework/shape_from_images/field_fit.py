@@ -6,7 +6,7 @@ from sculpt_framework.adam import Adam
 from sculpt_framework.fields import Field
 from sculpt_framework.shape_from_images.volume import Volume
 
-_SAMPLES, _NEAR_SHARE, _NEAR_CELLS = 20_000, 0.8, 1.5
+SAMPLES, _NEAR_SHARE, _NEAR_CELLS = 20_000, 0.8, 1.5
 """Places in a batch, and which share of them lies within how many cells of the surface."""
 _LAST_RATE = 0.1
 """Of the rate that the fit begins with."""
@@ -26,12 +26,12 @@ def fit_field(field: Field, volume: Volume, *, steps: int, generator: torch.Gene
     if len(near) == 0:
         near = values.abs().topk(min(1000, len(values)), largest=False).indices
     optimizer = Adam(field.fit_groups(), betas=(0.9, 0.99))
-    close = round(_NEAR_SHARE * _SAMPLES)
+    close = round(_NEAR_SHARE * SAMPLES)
     error = float("nan")
     for step in range(steps):
         chosen = near[torch.randint(len(near), (close,), generator=generator).to(device)]
-        anywhere = torch.randint(len(points), (_SAMPLES - close,), generator=generator).to(device)
-        jitter = (torch.rand(_SAMPLES, 3, generator=generator) - 0.5).to(points) * volume.cell
+        anywhere = torch.randint(len(points), (SAMPLES - close,), generator=generator).to(device)
+        jitter = (torch.rand(SAMPLES, 3, generator=generator) - 0.5).to(points) * volume.cell
         where = points[torch.cat([chosen, anywhere])] + jitter
         wanted = target(where).clamp(-_TRUNCATION, _TRUNCATION)
         sdf = field(where)

@@ -132,7 +132,7 @@ def test_dents_are_deeper_than_any_silhouette_shows() -> None:
 
 
 def test_small_pictures_are_reduced_from_larger_ones(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tracing, "_FINEST", 240)
+    monkeypatch.setattr(tracing, "FINEST", 240)
     camera = demo_cameras(1, 60)[0]
     rgb, alpha = render(OBJECTS["blob"], camera)
     large, cover = render(OBJECTS["blob"], camera.resized(240, 240))

@@ -59,7 +59,7 @@ def require_progress(losses: Sequence[float]) -> None:
 @pytest.mark.parametrize("field", FIELDS)
 def test_every_pair_of_field_and_extractor(scene: Scene, field: str, extractor: str, monkeypatch: pytest.MonkeyPatch):
     # From the start of real runs: what four steps learn of a rougher one is not told from noise.
-    monkeypatch.setattr(field_fit, "_SAMPLES", 20_000)
+    monkeypatch.setattr(field_fit, "SAMPLES", 20_000)
     parts = {"field": FIELDS[field], "extractor": EXTRACTORS[extractor]}
     if field == "mlp":
         # The MLP starts from the hull so closely that eight steps have too little left to learn to be told from noise,

@@ -16,6 +16,7 @@ from scipy import ndimage
 
 from sculpt_framework.cpu_kernels import kernel_cache, share_threads
 from sculpt_framework.multi_view_stereo.depth_maps import DepthMaps
+from sculpt_framework.multi_view_stereo.gaps import bridged
 from sculpt_framework.shape_from_images.missing import missing
 from sculpt_framework.shape_from_images.volume import Volume, signed_distance
 
@@ -48,13 +49,15 @@ _CRUMB = 1e-3
 def fuse(solid: Volume, maps: DepthMaps) -> Volume:
     """The shape that the depth maps show within ``solid``, a signed distance, which bounds it from outside.
 
-    In object units, negative inside. Bubbles inside, which no view can have seen, are filled, and crumbs removed.
+    In object units, negative inside. Gaps of the depth maps are bridged, which says more of plain and glossy places
+    than the hull does. Bubbles inside, which no view can have seen, are filled, and crumbs removed.
     """
     unit = np.float32(_FRONT * solid.cell)
     before = np.clip(solid.values / unit, _LOWEST, 1)
     least = np.where(solid.values > 0, before, _LOWEST)
     # What no ray of a mask passes is outside; a little around it, for differences.
-    wanted, weights, known = _told(solid, solid.values < unit, maps, before, np.float32(_PRIOR))
+    told = bridged(maps, _BACK * solid.cell)
+    wanted, weights, known = _told(solid, solid.values < unit, told, before, np.float32(_PRIOR))
     values = _smoothed(wanted, weights, least)
     views, depths, back = maps.views, maps.depths, _BACK * solid.cell
     doubtful = known & (wanted >= 1) & (weights >= _SEEN_THROUGH)

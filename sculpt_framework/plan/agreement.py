@@ -56,14 +56,18 @@ def stereo(config: SculptingConfig, evidence: Evidence) -> Ruling:
             evidence=f"{why}; the view nearest to a view is {evidence.apart:.0f} degrees away",
             measured=measured,
         )
-    if evidence.gloss is None:
+    if evidence.masked == 0:
         return Ruling(config=config, value="as the method starts", evidence=why, measured=measured)
-    uneven = evidence.gloss.unevenness
-    why += f"; {differing(uneven)}"
-    measured |= {"unevenness": uneven, "cut": evidence.cut}
+    measured |= {"cut": evidence.cut}
+    if evidence.gloss is not None:
+        measured |= {"unevenness": evidence.gloss.unevenness}
+        why += f"; {differing(evidence.gloss.unevenness)}"
     if evidence.cut >= CUT:
         why += f"; {100 * evidence.cut:.0f} % of the masks are cut by the border"
-    elif uneven < UNEVEN_COLORS:
+    elif evidence.gloss is None or evidence.gloss.strength is None:
+        # Carving needs many words against one that is wrong.
+        why += "; places are seen by fewer than eight views"
+    elif evidence.gloss.unevenness < UNEVEN_COLORS:
         return Ruling(config=config, value="as the method starts", evidence=why, measured=measured)
     return Ruling(
         config=replace(config, initializer=_start(STEREO, config)),

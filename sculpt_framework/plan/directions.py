@@ -32,8 +32,10 @@ _PIXELS = 64
 """Along the longer side of the reduced images."""
 _HULL_PIXELS = 96
 _POINTS = 1200
-_LEAST = 8
-"""Views that must see a point."""
+_MANY = 8
+"""Views that must see a point for a tenth of them to say what a highlight is."""
+_LEAST = 4
+"""Views that must see a point for it to tell how much they differ."""
 _LEAST_POINTS = 50
 _FACING = 0.35
 """Cosine of the steepest angle under which a point is looked at."""
@@ -49,9 +51,10 @@ _ON_SURFACE = 0.1
 
 @dataclass(frozen=True, kw_only=True)
 class Gloss:
-    strength: float
+    strength: float | None
     """How much brighter than usual, in [0, 1], a place gets in a tenth of the views that see it, less how much darker
-    it gets in a tenth; of the place at three quarters of them all."""
+    it gets in a tenth; of the place at three quarters of them all. None where too few places are seen by eight views.
+    """
     points: int
     """Places that were looked at."""
     unevenness: float
@@ -80,8 +83,13 @@ def gloss(views: Sequence[View], box: Box) -> Gloss | None:
 
 
 def brightening(seen: Bool[Tensor, "n v"], colors: Float[Tensor, "n v 3"]) -> Gloss | None:
-    """Of n places in v views: ``gloss`` from colours alone. None where too few places are seen often enough."""
-    enough = seen.sum(dim=1) >= _LEAST
+    """Of n places in v views: ``gloss`` from colours alone. None where too few places are seen by four views.
+
+    Places that eight views see count alone where there are enough.
+    """
+    often = seen.sum(dim=1) >= _MANY
+    told = int(often.sum()) >= _LEAST_POINTS
+    enough = often if told else seen.sum(dim=1) >= _LEAST
     if int(enough.sum()) < _LEAST_POINTS:
         return None
     seen, colors = seen[enough], colors[enough]
@@ -95,7 +103,7 @@ def brightening(seen: Bool[Tensor, "n v"], colors: Float[Tensor, "n v 3"]) -> Gl
     away = torch.where(seen, change.abs().mean(dim=2), torch.nan).nanmedian(dim=1).values
     brightness = float(usual.mean(dim=2).nanmedian())
     return Gloss(
-        strength=float((tails[0] - tails[1]).quantile(_AMONG_POINTS)),
+        strength=float((tails[0] - tails[1]).quantile(_AMONG_POINTS)) if told else None,
         points=len(seen),
         unevenness=float(away.quantile(_ON_SURFACE)) / max(brightness, 1e-3),
     )

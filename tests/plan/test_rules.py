@@ -119,9 +119,24 @@ def test_nothing_is_compared_without_texture() -> None:
 
 def test_without_evidence_of_light_both_are_learned_from() -> None:
     config, changed = decided(replace(USUAL, gloss=None))
-    assert name_of(config.initializer) == "photo-hull"
     assert weights(config) == weights(method())
-    assert not {"stereo", "light"} & set(changed)
+    assert "light" not in changed
+
+
+@pytest.mark.parametrize("told", [None, Gloss(strength=None, points=80, unevenness=0.005)])
+def test_few_photographs_of_a_place_are_not_carved_from(told: Gloss | None) -> None:
+    config, changed = decided(replace(USUAL, views=10, masked=10, apart=22.0, gloss=told))
+    assert name_of(config.initializer) == "stereo"
+    assert "fewer than eight views" in changed["stereo"].evidence
+    assert "sh-degree" not in changed
+
+
+def test_few_photographs_tell_whether_their_light_is_uneven() -> None:
+    uneven_few = Gloss(strength=None, points=80, unevenness=1.01 * UNEVEN_LIGHT)
+    config, changed = decided(replace(USUAL, views=10, masked=10, apart=22.0, gloss=uneven_few))
+    assert name_of(config.initializer) == "stereo"
+    assert weights(config)["photometric"] == 0.0
+    assert "agreement between views" in changed["light"].value
 
 
 def test_the_users_start_and_losses_are_kept_in_uneven_light() -> None:

@@ -53,6 +53,8 @@ def here(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> 
         arguments = ["sculpt", *map(str, words)]
         monkeypatch.setenv("COLUMNS", "200")
         monkeypatch.setattr(sys, "argv", arguments)
+        # The libraries of this process have their threads already; numba refuses to compile where they are to change.
+        monkeypatch.setattr("sculpt_framework.cli.train.limit_threads", lambda threads: None)
         capfd.readouterr()
         code: object = 0
         try:

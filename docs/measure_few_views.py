@@ -3,9 +3,9 @@
     python docs/measure_few_views.py SCENE... [--counts 3 6 10 20] [--methods gaussian-sculpting neus]
                                      [--start stereo] [--from above] [--max-time SECONDS] [--out DIR]
 
-A scene is anything that ``sculpt-train --data`` takes. Its train views are thinned to so many,
-spread evenly over the directions they look from: each is the one farthest from those before (the first is the one
-nearest to the scene's first axis). ``--from above`` takes those above the object's middle, ``--from front`` those
+A scene is anything that ``sculpt-train --data`` takes. Its train views are thinned to so many, spread evenly over the
+directions they look from: each is the one farthest from those before (the first is the one nearest to the scene's first
+axis). ``--from above`` takes those above the object's middle, ``--from front`` those
 within 75 degrees of that axis. ``--start`` has bi-level methods begin with that initializer, whatever the plan would
 choose. Told are how many degrees the median view is from the one nearest to it; with a reference mesh, the Chamfer
 distance in hundredths of scene units, of the whole surface and of what any of all the train views sees of it, and the
@@ -59,7 +59,7 @@ def main() -> None:
     print("|---|---|---|---|---|---|", flush=True)
     for data in request.scenes:
         whole = sculpt.load(data)
-        measure = by_reference(whole) if whole.reference_mesh is not None else by_photographs(whole)
+        measure = by_photographs(whole) if whole.reference_mesh is None else by_reference(whole, whole.reference_mesh)
         for count in request.counts:
             scene = thinned(whole, count, request.side)
             apart = gather(scene).apart
@@ -77,8 +77,8 @@ def main() -> None:
                 )
 
 
-def by_reference(whole: Scene) -> Callable[[Mesh], str]:
-    reference = MeasuredMesh(load_mesh(Path(str(whole.reference_mesh))), SAMPLES)
+def by_reference(whole: Scene, truth: Path) -> Callable[[Mesh], str]:
+    reference = MeasuredMesh(load_mesh(truth), SAMPLES)
     seen = seen_by(reference, [view.camera for view in whole.train])
 
     def measured(mesh: Mesh) -> str:

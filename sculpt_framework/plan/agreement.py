@@ -58,9 +58,9 @@ def stereo(config: SculptingConfig, evidence: Evidence) -> Ruling:
         )
     if evidence.masked == 0:
         return Ruling(config=config, value="as the method starts", evidence=why, measured=measured)
-    measured |= {"cut": evidence.cut}
+    measured["cut"] = evidence.cut
     if evidence.gloss is not None:
-        measured |= {"unevenness": evidence.gloss.unevenness}
+        measured["unevenness"] = evidence.gloss.unevenness
         why += f"; {differing(evidence.gloss.unevenness)}"
     if evidence.cut >= CUT:
         why += f"; {100 * evidence.cut:.0f} % of the masks are cut by the border"

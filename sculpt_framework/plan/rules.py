@@ -186,10 +186,10 @@ def refinement(config: SculptingConfig, evidence: Evidence) -> Ruling:
 
 def sh_degree(config: SculptingConfig, evidence: Evidence) -> Ruling:
     degree = option_of(config.appearance, "sh_degree")
-    strength = None if evidence.gloss is None else evidence.gloss.strength
-    if evidence.gloss is None or strength is None or degree is None:
+    if evidence.gloss is None or evidence.gloss.strength is None or degree is None:
         why = "how colours change with the view cannot be told: no masks, or too few views"
         return Ruling(config=config, value="as the method has it", evidence=why)
+    strength = evidence.gloss.strength
     wanted = 0 if strength < GLOSS_LEAST else 2 if strength < GLOSS_MUCH else 3
     why = f"places brighten by {strength:.3f} more than they darken in a tenth of the views"
     measured = {"gloss": strength, "points": float(evidence.gloss.points)}

@@ -23,7 +23,12 @@ def _threads_restored():
 
 @pytest.mark.parametrize(
     ("what", "backends"),
-    [("raster", {"numba", "reference"}), ("loss", {"numba", "torch"}), ("field", {"numba", "torch"})],
+    [
+        ("raster", {"numba", "reference"}),
+        ("loss", {"numba", "torch"}),
+        ("colors", {"numba", "torch"}),
+        ("field", {"numba", "torch"}),
+    ],
 )
 def test_smallest_case_as_json(what: str, backends: set[str], capsys: pytest.CaptureFixture[str]):
     bench([what, "--cases", "0", "--repeats", "1", "--json"])
@@ -33,6 +38,7 @@ def test_smallest_case_as_json(what: str, backends: set[str], capsys: pytest.Cap
     amounts = {
         "raster": {"gaussians": 500, "pixels": 64 * 64},
         "loss": {"pixels": 200 * 200},
+        "colors": {"gaussians": 100_000},
         "field": {"points": 50_000},
     }
     for row in rows:

@@ -37,8 +37,8 @@ class BenchRequest:
     step part by part; sculpt-bench memory, that of a rendering.
     """
 
-    what: Annotated[Literal["raster", "loss", "field"], tyro.conf.Positional]
-    """raster: Gaussians on a bumpy sphere; loss: L1 and SSIM; field: the hash grid."""
+    what: Annotated[Literal["raster", "loss", "colors", "field"], tyro.conf.Positional]
+    """raster: Gaussians on a bumpy sphere; loss: L1 and SSIM; colors: spherical harmonics; field: the hash grid."""
     threads: tuple[int, ...] = (1,)
     """CPU threads, one run of all cases for each number."""
     repeats: Annotated[int, tyro.conf.arg(metavar="N")] = 9
@@ -125,11 +125,11 @@ def _check(request: BenchRequest) -> None:
 
 
 def _cases(request: BenchRequest) -> "Iterator[Case]":
-    from sculpt_framework.cli.bench_cases import field_cases, loss_cases, raster_cases
+    from sculpt_framework.cli.bench_cases import color_cases, field_cases, loss_cases, raster_cases
 
     if request.what == "raster":
         return raster_cases(request.cases, request.device, request.compare_prototype)
-    return {"loss": loss_cases, "field": field_cases}[request.what](request.cases)
+    return {"loss": loss_cases, "colors": color_cases, "field": field_cases}[request.what](request.cases)
 
 
 def _line(row: Row) -> str:

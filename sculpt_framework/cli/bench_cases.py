@@ -208,6 +208,36 @@ def loss_cases(chosen: Sequence[int] | None) -> Iterator[Case]:
         )
 
 
+def color_cases(chosen: Sequence[int] | None) -> Iterator[Case]:
+    """Spherical harmonics of Gaussians around the camera, with and without a gradient by their positions."""
+    import torch
+
+    from sculpt_framework.rendering.spherical_harmonics import sh_to_rgb, sh_to_rgb_in_torch
+
+    cases = [(count, degree, moving) for count in (100_000, 400_000) for degree in (1, 3) for moving in (0, 1)]
+    for number in _chosen(chosen, len(cases)):
+        count, degree, moving = cases[number]
+        generator = torch.Generator().manual_seed(0)
+        sh = (0.3 * torch.randn(count, (degree + 1) ** 2, 3, generator=generator)).requires_grad_(True)
+        means = torch.randn(count, 3, generator=generator).requires_grad_(bool(moving))
+        camera = torch.zeros(3)
+
+        def compiled(sh: "Tensor" = sh, means: "Tensor" = means, camera: "Tensor" = camera) -> "tuple[Tensor, ...]":
+            return (sh_to_rgb(sh, means, camera),)
+
+        def in_torch(sh: "Tensor" = sh, means: "Tensor" = means, camera: "Tensor" = camera) -> "tuple[Tensor, ...]":
+            return (sh_to_rgb_in_torch(sh, means, camera),)
+
+        yield Case(
+            name=f"{count} Gaussians, degree {degree}{' d/dx' if moving else ''}",
+            contenders=[
+                Contender(backend="numba", forward=compiled, leaves=[sh, means]),
+                Contender(backend="torch", forward=in_torch, leaves=[sh, means]),
+            ],
+            amounts={"gaussians": count},
+        )
+
+
 def field_cases(chosen: Sequence[int] | None) -> Iterator[Case]:
     """Points on a sphere, as they are near a surface, with and without a gradient by their positions."""
     import torch

@@ -38,6 +38,9 @@ _PRIOR = 0.05
 _HIDING, _HIDDEN = 2, 0.5
 """Without outlines: something must be seen in front of a place in more than so many images, and than such a share of
 those it lies in, for it to be inside of something."""
+_IN_SIGHT = 0.8
+"""Without outlines: share of all images in which a place must lie that no view sees, or sees through, to be inside of
+something plain. Beside it, what is behind shows in one image or another, if they are not all from one side."""
 _SOFT_SLOPE, _SOFT_ERROR = 1.0, 0.1
 """Differences between cells, and to what is wanted, that count by their squares; beyond, linearly. In units of
 ``_FRONT``: the slope of a distance is a third."""
@@ -71,12 +74,16 @@ def fuse(solid: Volume, maps: DepthMaps) -> Volume:
     return solid.holding(signed_distance(inside, values * unit, solid.cell))
 
 
-def fuse_without_outlines(space: Volume, maps: DepthMaps) -> tuple[Volume, Bool[np.ndarray, "x y z"]]:
+def fuse_without_outlines(
+    space: Volume, maps: DepthMaps, *, all_around: bool
+) -> tuple[Volume, Bool[np.ndarray, "x y z"]]:
     """The shape that the depth maps alone show where ``space`` is negative, in units of three cells, negative inside;
     and the cells near what some view sees.
 
-    What no view sees is solid where something is seen in front of it in half of the images it lies in, and empty
-    elsewhere. Nothing is removed: there may be pieces of whatever else is in that space.
+    What no view sees is solid where something is seen in front of it in half of the images it lies in. So it is, where
+    views are ``all_around``, if it lies in four fifths of all images and none of them shows anything behind it: plain
+    objects have no depths. It is empty elsewhere. Nothing is removed: there may be pieces of whatever else is in that
+    space.
     """
     share_threads()
     views, asked = maps.views, space.values < 0
@@ -86,7 +93,8 @@ def fuse_without_outlines(space: Volume, maps: DepthMaps) -> tuple[Volume, Bool[
         np.float32(_BACK * space.cell), hidden.reshape(-1), shown.reshape(-1),
     )  # fmt: skip
     behind = hidden > np.maximum(_HIDING, _HIDDEN * shown)
-    before = np.where(behind, _LOWEST, np.float32(1))
+    plain = (shown >= _IN_SIGHT * len(views)) & all_around
+    before = np.where(behind | plain, _LOWEST, np.float32(1))
     prior = np.where(hidden > 0, np.float32(2 * _PRIOR), np.float32(_PRIOR))
     least = np.where(asked, _LOWEST, np.float32(1))
     wanted, weights, known = _told(space, asked, maps, before, prior)

@@ -208,7 +208,7 @@ def _solid(views: Sequence[View], *, sure: bool, keep_support: bool) -> _Solid |
     points, normals, aimed = _cloud(maps)
     half = _MORE / _AROUND
     volume = whole_box((half, half, half), _CELLS)
-    shape, seen = fuse_without_outlines(volume, maps)
+    shape, seen = fuse_without_outlines(volume, maps, all_around=not _one_sided(views))
     planes = [] if keep_support else find_planes(points, normals, half)
     inside, own = _pieces(shape, points, aimed, planes)
     while parts := [plane for plane in planes if _is_part(plane, points, aimed, own, half)]:

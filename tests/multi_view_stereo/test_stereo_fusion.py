@@ -13,11 +13,11 @@ from sculpt_framework.config import InitializerConfig
 from sculpt_framework.demo_scenes.cameras import demo_cameras
 from sculpt_framework.errors import DataError
 from sculpt_framework.multi_view_stereo.depth_maps import DepthMaps, StereoOptions, find_depths
-from sculpt_framework.multi_view_stereo.fusion import fuse, without_bubbles
+from sculpt_framework.multi_view_stereo.fusion import fuse, fuse_without_outlines, without_bubbles
 from sculpt_framework.multi_view_stereo.stereo_views import stereo_views
 from sculpt_framework.shape_from_images import missing, within_hull
 from sculpt_framework.shape_from_images.hull import visual_hull
-from sculpt_framework.shape_from_images.volume import Volume, sample
+from sculpt_framework.shape_from_images.volume import Volume, sample, whole_box
 from sculpt_framework.types import View
 from sculpt_plugins.initializers.photo_hull import initializer as photo_hull
 from sculpt_plugins.initializers.photo_hull.config import PhotoHullConfig
@@ -134,6 +134,25 @@ def test_what_is_unknown_stays_near_the_hull() -> None:
     far = np.linalg.norm(whole.points, axis=1).reshape(whole.shape)
     assert (shape.values[far < 0.8 - 1.7 * whole.cell] < 0).all()
     assert not ((shape.values < 0) & (whole.values > 0)).any()
+
+
+def test_without_outlines_a_plain_ball_is_where_nobody_sees_through() -> None:
+    """No depth on it, and what is behind it shows all around it. Where few images look there is nothing."""
+    plain = DentedBall(radius=0.8, dent=0.0)
+    views = [photograph(plain, camera, masked=False) for camera in demo_cameras(24, 96)]
+    maps = exact_maps(plain, stereo_views(views, 48.0))
+    behind = np.where(maps.views.inside & (maps.depths == 0), np.float32(20), np.float32(0))
+    facing = np.broadcast_to(np.array([0, 0, -1], np.float32), maps.normals.shape).copy()
+    maps = replace(maps, depths=behind, normals=facing, confidence=(behind > 0).astype(np.float32))
+    box = whole_box((2.0, 2.0, 2.0), 80)
+    shape, _ = fuse_without_outlines(box, maps, all_around=True)
+    away = plain.distance(box.points) / box.cell
+    inside = shape.values.reshape(-1) < 0
+    # Smoothing shrinks what nobody has seen.
+    assert inside[away < -5].all()
+    assert not inside[away > 1].any()
+    nothing, _ = fuse_without_outlines(box, maps, all_around=False)
+    assert not (nothing.values < 0).any()
 
 
 def test_bubbles_are_filled_and_crumbs_removed() -> None:

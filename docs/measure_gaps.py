@@ -22,7 +22,7 @@ from typing import cast
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float32
+from jaxtyping import Bool
 
 from sculpt_framework import registry
 from sculpt_framework.config import DatasetConfig
@@ -119,15 +119,11 @@ def true_depths(maps: DepthMaps, cameras: Sequence[Camera], scene: Scene, truth:
 
 def where(chosen: Bool[np.ndarray, "v h w"], one: DepthMaps, other: DepthMaps) -> DepthMaps:
     """``one`` at the chosen pixels."""
-
-    def mixed(a: Float32[np.ndarray, "v h w"], b: Float32[np.ndarray, "v h w"]) -> Float32[np.ndarray, "v h w"]:
-        return np.where(chosen, a, b)
-
     return replace(
         other,
-        depths=mixed(one.depths, other.depths),
+        depths=np.where(chosen, one.depths, other.depths),
         normals=np.where(chosen[..., None], one.normals, other.normals),
-        confidence=mixed(one.confidence, other.confidence),
+        confidence=np.where(chosen, one.confidence, other.confidence),
     )
 
 

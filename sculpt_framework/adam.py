@@ -13,7 +13,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.autograd.graph import increment_version
 
-from sculpt_framework.cpu_kernels import kernel_cache, share_threads
+from sculpt_framework.cpu_kernels import float32_on_cpu, kernel_cache, share_threads
 from sculpt_framework.parameters import ParameterGroup
 
 with kernel_cache("adam", Path(__file__).with_name("adam_kernels.py")):
@@ -97,7 +97,7 @@ def move_rows(
     """Move ``values`` and both moments in place; ``steps`` of each row counts this one."""
     if len(steps) == 0:
         return
-    if not _is_compiled(values, gradients):
+    if not float32_on_cpu(values, gradients):
         scale = _bias_correction(steps, betas) * rate
         _move_in_torch(values, gradients, first, second, scale.reshape(-1, *([1] * (values.ndim - 1))), betas, eps)
         return
@@ -123,7 +123,7 @@ def _move_all(
     eps: float,
 ) -> None:
     scale = _bias_correction(torch.tensor([step], dtype=torch.float64), betas) * rate
-    if not _is_compiled(values, gradients):
+    if not float32_on_cpu(values, gradients):
         _move_in_torch(values, gradients, first, second, scale.to(values), betas, eps)
         return
     share_threads()
@@ -156,7 +156,3 @@ def _as_rows(tensor: Float[Tensor, "n ..."]) -> np.ndarray:
 
 def _bias_correction(steps: Float[Tensor, " n"], betas: tuple[float, float]) -> Float[Tensor, " n"]:
     return (1 - betas[1] ** steps).sqrt() / (1 - betas[0] ** steps)
-
-
-def _is_compiled(values: Tensor, gradients: Tensor) -> bool:
-    return values.device.type == "cpu" and values.dtype == gradients.dtype == torch.float32

@@ -104,6 +104,11 @@ def share_threads() -> int:
     return threads
 
 
+def float32_on_cpu(*tensors: torch.Tensor) -> bool:
+    """Whether kernels take these tensors: what has a twin in torch runs there otherwise."""
+    return all(tensor.dtype == torch.float32 and tensor.device.type == "cpu" for tensor in tensors)
+
+
 def array_of(tensor: torch.Tensor) -> np.ndarray:
     """The numbers of a tensor on the CPU, without gradient, one after the other; shared with it if they lie so."""
     return tensor.detach().contiguous().numpy()

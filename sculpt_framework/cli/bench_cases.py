@@ -5,6 +5,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -192,18 +193,11 @@ def loss_cases(chosen: Sequence[int] | None) -> Iterator[Case]:
         target = torch.rand(size, size, 3, generator=torch.Generator().manual_seed(0))
         image = (0.9 * target + 0.05).requires_grad_(True)
 
-        def compiled(image: "Tensor" = image, target: "Tensor" = target) -> "tuple[Tensor, ...]":
-            return (l1_dssim(image, target, 0.2),)
-
-        def in_torch(image: "Tensor" = image, target: "Tensor" = target) -> "tuple[Tensor, ...]":
-            return (l1_dssim_in_torch(image, target, 0.2),)
-
-        yield Case(
-            name=f"{size}x{size}x3",
-            contenders=[
-                Contender(backend="numba", forward=compiled, leaves=[image]),
-                Contender(backend="torch", forward=in_torch, leaves=[image]),
-            ],
+        yield _against_torch(
+            f"{size}x{size}x3",
+            partial(l1_dssim, image, target, 0.2),
+            partial(l1_dssim_in_torch, image, target, 0.2),
+            leaves=[image],
             amounts={"pixels": size * size},
         )
 
@@ -222,18 +216,11 @@ def color_cases(chosen: Sequence[int] | None) -> Iterator[Case]:
         means = torch.randn(count, 3, generator=generator).requires_grad_(bool(moving))
         camera = torch.zeros(3)
 
-        def compiled(sh: "Tensor" = sh, means: "Tensor" = means, camera: "Tensor" = camera) -> "tuple[Tensor, ...]":
-            return (sh_to_rgb(sh, means, camera),)
-
-        def in_torch(sh: "Tensor" = sh, means: "Tensor" = means, camera: "Tensor" = camera) -> "tuple[Tensor, ...]":
-            return (sh_to_rgb_in_torch(sh, means, camera),)
-
-        yield Case(
-            name=f"{count} Gaussians, degree {degree}{' d/dx' if moving else ''}",
-            contenders=[
-                Contender(backend="numba", forward=compiled, leaves=[sh, means]),
-                Contender(backend="torch", forward=in_torch, leaves=[sh, means]),
-            ],
+        yield _against_torch(
+            f"{count} Gaussians, degree {degree}{' d/dx' if moving else ''}",
+            partial(sh_to_rgb, sh, means, camera),
+            partial(sh_to_rgb_in_torch, sh, means, camera),
+            leaves=[sh, means],
             amounts={"gaussians": count},
         )
 
@@ -263,18 +250,29 @@ def field_cases(chosen: Sequence[int] | None) -> Iterator[Case]:
         points = (0.6 * directions / directions.norm(dim=1, keepdim=True)).requires_grad_(bool(moving))
         tables = list(encoding.tables)
 
-        def compiled(encoding: HashEncoding = encoding, points: "Tensor" = points) -> "tuple[Tensor, ...]":
-            return (encoding(points),)
-
-        def in_torch(encoding: HashEncoding = encoding, points: "Tensor" = points) -> "tuple[Tensor, ...]":
-            return (encode_in_torch(points, list(encoding.tables), encoding.resolutions),)
-
-        leaves = [points, *tables]
-        yield Case(
-            name=f"{count} points 2^{log2_table} {levels}x{features}{' d/dx' if moving else ''}",
-            contenders=[
-                Contender(backend="numba", forward=compiled, leaves=leaves),
-                Contender(backend="torch", forward=in_torch, leaves=leaves),
-            ],
+        yield _against_torch(
+            f"{count} points 2^{log2_table} {levels}x{features}{' d/dx' if moving else ''}",
+            partial(encoding, points),
+            partial(encode_in_torch, points, tables, encoding.resolutions),
+            leaves=[points, *tables],
             amounts={"points": count},
         )
+
+
+def _against_torch(
+    name: str,
+    compiled: "Callable[[], Tensor]",
+    in_torch: "Callable[[], Tensor]",
+    *,
+    leaves: "Sequence[Tensor]",
+    amounts: dict[str, int],
+) -> Case:
+    """Kernels beside their twin in torch."""
+    return Case(
+        name=name,
+        contenders=[
+            Contender(backend="numba", forward=lambda: (compiled(),), leaves=leaves),
+            Contender(backend="torch", forward=lambda: (in_torch(),), leaves=leaves),
+        ],
+        amounts=amounts,
+    )

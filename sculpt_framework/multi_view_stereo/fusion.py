@@ -80,10 +80,10 @@ def fuse_without_outlines(
     """The shape that the depth maps alone show where ``space`` is negative, in units of three cells, negative inside;
     and the cells near what some view sees.
 
-    What no view sees is solid where something is seen in front of it in half of the images it lies in. So it is, where
-    views are ``all_around``, if it lies in four fifths of all images and none of them shows anything behind it: plain
-    objects have no depths. It is empty elsewhere. Nothing is removed: there may be pieces of whatever else is in that
-    space.
+    What no view sees is solid where something is seen in front of it in half of the images it lies in. With views from
+    ``all_around`` it is also solid where it lies in four fifths of all images and none of them shows anything behind
+    it: plain objects have no depths. It is empty elsewhere. Nothing is removed: there may be pieces of whatever else is
+    in that space.
     """
     share_threads()
     views, asked = maps.views, space.values < 0

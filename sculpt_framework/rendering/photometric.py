@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 from torch.nn import functional
 
-from sculpt_framework.cpu_kernels import kernel_cache, share_threads
+from sculpt_framework.cpu_kernels import float32_on_cpu, kernel_cache, share_threads
 
 with kernel_cache("photometric", Path(__file__).with_name("photometric_kernels.py")):
     from sculpt_framework.rendering import photometric_kernels
@@ -28,8 +28,7 @@ def l1_dssim(image: Float[Tensor, "h w c"], target: Float[Tensor, "h w c"], weig
     SSIM with an 11x11 Gaussian window of sigma 1.5 and zeros around the image, as in 3DGS. float32 on the CPU runs in
     compiled kernels that give the value and its gradient by ``image`` in one go; anything else runs in torch.
     """
-    compiled = image.dtype == target.dtype == torch.float32 and image.device.type == target.device.type == "cpu"
-    if compiled and not target.requires_grad:
+    if float32_on_cpu(image, target) and not target.requires_grad:
         differentiate = image.requires_grad and torch.is_grad_enabled()
         return _CompiledLoss.apply(image, target, weight_dssim, differentiate)
     return l1_dssim_in_torch(image, target, weight_dssim)

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from sculpt_framework.cpu_kernels import array_of, kernel_cache, share_threads
+from sculpt_framework.cpu_kernels import array_of, float32_on_cpu, kernel_cache, share_threads
 
 with kernel_cache("harmonics", Path(__file__).with_name("spherical_harmonics_kernels.py")):
     from sculpt_framework.rendering import spherical_harmonics_kernels as kernels
@@ -34,10 +34,9 @@ def sh_to_rgb(
         raise ValueError(f"spherical harmonics have 1, 4, 9 or 16 coefficients (degrees 0 to 3), not {count}")
     if count == 1:
         return torch.add(0.5, sh[:, 0], alpha=BAND_0).clamp_min(0.0)
-    given = (sh, means, camera_position)
-    if all(each.dtype == torch.float32 and each.device.type == "cpu" for each in given):
-        return _CompiledColors.apply(*given)
-    return sh_to_rgb_in_torch(*given)
+    if float32_on_cpu(sh, means, camera_position):
+        return _CompiledColors.apply(sh, means, camera_position)
+    return sh_to_rgb_in_torch(sh, means, camera_position)
 
 
 def sh_to_rgb_in_torch(

@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
-from sculpt_framework.cpu_kernels import array_of, kernel_cache, share_threads
+from sculpt_framework.cpu_kernels import array_of, float32_on_cpu, kernel_cache, share_threads
 
 with kernel_cache("volume-rendering", Path(__file__).with_name("kernels.py")):
     from sculpt_framework.volume_rendering import kernels
@@ -93,8 +93,8 @@ def stretches_of(rays: Rays, cells: OccupiedCells, step: float, jitter: Float[Te
         near, far = _within(rays, cells)
         starts = near if jitter is None else near + jitter.to(near) * step
         numbers = ((far - starts) / step).ceil().clamp(min=0).to(torch.int64)
-        compiled = rays.origins.device.type == "cpu" and rays.origins.dtype == torch.float32
-        ray, begin, counts = (_compiled if compiled else _in_torch)(rays, cells, step, starts, numbers)
+        find = _compiled if float32_on_cpu(rays.origins) else _in_torch
+        ray, begin, counts = find(rays, cells, step, starts, numbers)
     offsets = _offsets(counts)
     return Stretches(ray=ray, begin=begin, length=begin.new_tensor(step).expand_as(begin), offsets=offsets)
 

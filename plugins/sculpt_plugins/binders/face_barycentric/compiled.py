@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from sculpt_framework.binders import Binding
-from sculpt_framework.cpu_kernels import array_of, kernel_cache, share_threads
+from sculpt_framework.cpu_kernels import array_of, float32_on_cpu, kernel_cache, share_threads
 from sculpt_framework.types import Surface
 from sculpt_plugins.binders.face_barycentric.in_torch import BindOptions
 from sculpt_plugins.binders.face_barycentric.limits import TINY
@@ -24,8 +24,7 @@ with kernel_cache("face-barycentric", Path(__file__).parent):
 
 def runs_compiled(surface: Surface, rows: Mapping[str, Tensor]) -> bool:
     """Whether there are kernels for these tensors."""
-    tensors = (surface.vertices, *rows.values())
-    return all(tensor.dtype == torch.float32 and tensor.device.type == "cpu" for tensor in tensors)
+    return float32_on_cpu(surface.vertices, *rows.values())
 
 
 def bind_compiled(

@@ -10,7 +10,7 @@ from torch.autograd.function import once_differentiable
 
 from sculpt_framework.binders import Binding
 from sculpt_framework.constraints import Constraint
-from sculpt_framework.cpu_kernels import array_of, kernel_cache, share_threads
+from sculpt_framework.cpu_kernels import array_of, float32_on_cpu, kernel_cache, share_threads
 
 with kernel_cache("mee-scale", Path(__file__).with_name("kernels.py")):
     from sculpt_plugins.constraints.mee_scale import kernels
@@ -43,7 +43,7 @@ class MeeScale(Constraint):
             ellipse = torch.diag_embed(0.25 * edges.square().sum(dim=2))
         ellipse = ellipse + _TINY * torch.eye(2, dtype=corners.dtype, device=corners.device)
         covariance = binding.tangent_covariance
-        if covariance.dtype == torch.float32 and covariance.device.type == "cpu" and not ellipse.requires_grad:
+        if float32_on_cpu(covariance) and not ellipse.requires_grad:
             return _CompiledExcess.apply(ellipse, covariance, self._limit)
         return mean_excess(ellipse, covariance, self._limit)
 

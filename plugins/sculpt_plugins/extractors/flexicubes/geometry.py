@@ -4,6 +4,7 @@ import torch
 from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
+from sculpt_framework.cpu_kernels import float32_on_cpu
 from sculpt_framework.geometry.band import LEAST_DROP, crossing_weight
 from sculpt_framework.geometry.faces import smallest_angles
 from sculpt_plugins.extractors.flexicubes.compiled import dual_vertices_compiled, second_diagonals_compiled
@@ -36,7 +37,7 @@ def dual_vertices(
     whose places is used is NaN. In compiled kernels for float32 on the CPU, else in torch.
     """
     tensors = [tensor for tensor in (corner_positions, corner_sdf, alpha, beta) if tensor is not None]
-    if not all(tensor.device.type == "cpu" and tensor.dtype == torch.float32 for tensor in tensors):
+    if not float32_on_cpu(*tensors):
         return dual_vertices_in_torch(topology, corner_positions, corner_sdf, cell, alpha, beta, used, damp_grazing)
     edges = topology.ends.shape[0]
     rows = int(topology.cells.max()) + 1 if edges else 0
@@ -113,7 +114,7 @@ def diagonal_split(
 
     The diagonal with the larger smallest angle wins, unless it folds the quad over and the other one does not.
     """
-    if vertices.device.type == "cpu" and vertices.dtype == torch.float32:
+    if float32_on_cpu(vertices):
         use_second = second_diagonals_compiled(vertices, quads, PREFERRED_BY)
     else:
         use_second = second_diagonals_in_torch(vertices, quads)

@@ -244,7 +244,7 @@ def _sweep(
         if len(others[i]):
             judges = min(_JUDGES, len(others[i])) if each.geometric else len(others[i])
             kernels.improve(
-                stack.luminance, stack.inside, stack.lenses, i, others[i], stack.relative(i, others[i]),
+                stack.luminance, stack.pure, stack.lenses, i, others[i], stack.relative(i, others[i]),
                 before, each.geometric, planes.nearest[i], planes.farthest[i], min(_COUNTED, judges), judges,
                 _STRIDE, each.sweeps, np.float32(each.span), each.tries, each.fresh, seed * len(stack) + i,
                 planes.depths[i], planes.normals[i], planes.costs[i],

@@ -20,6 +20,10 @@ _AIM, _NARROW, _WIDE = 12.0, 5.0, 12.0
 image more per step of depth, but distorts it and hides more."""
 _ANGLES = (2.0, 45.0)
 """Degrees outside of which views are not compared."""
+_MIXED = 1
+"""Pixels along the outline into which what is behind the object mixes."""
+_LEAST_SHARE = np.float32(0.02)
+"""Of a pixel of a smaller image, from which on there is a colour."""
 _SPREAD = 0.5
 """How much less a view counts that stands in the same direction as one already chosen."""
 
@@ -35,6 +39,8 @@ class StereoViews:
     """In [0, 1]; 0 outside of the masks."""
     inside: Bool[np.ndarray, "v h w"]
     """Pixels that show the object: of its mask, or of the image where there is none."""
+    pure: Bool[np.ndarray, "v h w"]
+    """Those of them whose luminance is the object's alone: along the outline, what is behind it mixes in."""
     poses: Float32[np.ndarray, "v 3 4"]
     lenses: Float32[np.ndarray, "v 4"]
     positions: Float32[np.ndarray, "v 3"]
@@ -85,6 +91,7 @@ class _Part:
     camera: Camera
     luminance: Float32[np.ndarray, "h w"]
     inside: Bool[np.ndarray, "h w"]
+    pure: Bool[np.ndarray, "h w"]
 
 
 def stereo_views(views: Sequence[View], pixels_per_unit: float) -> StereoViews:
@@ -98,15 +105,17 @@ def stereo_views(views: Sequence[View], pixels_per_unit: float) -> StereoViews:
     height = max((part.luminance.shape[0] for part in parts), default=0)
     width = max((part.luminance.shape[1] for part in parts), default=0)
     luminance = np.zeros((len(parts), height, width), np.float32)
-    inside = np.zeros(luminance.shape, bool)
+    inside, pure = np.zeros(luminance.shape, bool), np.zeros(luminance.shape, bool)
     for i, part in enumerate(parts):
         rows, columns = part.luminance.shape
         luminance[i, :rows, :columns] = part.luminance
         inside[i, :rows, :columns] = part.inside
+        pure[i, :rows, :columns] = part.pure
     poses, lenses, positions = camera_arrays([part.camera for part in parts])
     return StereoViews(
         luminance=luminance,
         inside=inside,
+        pure=pure,
         poses=poses,
         lenses=lenses,
         positions=positions,
@@ -127,11 +136,26 @@ def _prepare(view: View, pixels_per_unit: float) -> _Part | None:
         rgb, alpha = rgb[y : y + height, x : x + width], alpha[y : y + height, x : x + width]
     scale = min(1.0, pixels_per_unit * distance / max(camera.fx, camera.fy))
     size = max(1, round(camera.width * scale)), max(1, round(camera.height * scale))
+    whole = away_from_outline(alpha >= 0.5)
     # Multiplied by the coverage, so that what is beside the object is not mixed in, and divided by it again.
-    layers = np.dstack([(rgb @ LUMINANCE) * alpha, alpha])
-    luminance, coverage = np.moveaxis(cv2.resize(layers, size, interpolation=cv2.INTER_AREA), 2, 0)
+    bright = rgb @ LUMINANCE
+    layers = np.dstack([bright * alpha, alpha, bright * whole, whole]).astype(np.float32)
+    mixed, coverage, luminance, share = np.moveaxis(cv2.resize(layers, size, interpolation=cv2.INTER_AREA), 2, 0)
+    pure = share > _LEAST_SHARE
+    mixed = np.where(coverage > _LEAST_SHARE, mixed / np.maximum(coverage, _LEAST_SHARE), np.float32(0))
     return _Part(
         camera=camera.resized(*size),
-        luminance=np.where(coverage > 0.02, luminance / np.maximum(coverage, np.float32(0.02)), np.float32(0)),
+        luminance=np.where(pure, luminance / np.maximum(share, _LEAST_SHARE), mixed),
         inside=coverage >= 0.5,
+        pure=pure & (coverage >= 0.5),
     )
+
+
+def away_from_outline(mask: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    """The mask without the pixels along its outline, except those of parts that have no others.
+
+    The border of the image is no outline.
+    """
+    around = np.ones((3, 3), np.uint8)
+    core = cv2.erode(mask.astype(np.uint8), around, iterations=_MIXED)
+    return (core > 0) | (mask & (cv2.dilate(core, around, iterations=_MIXED) == 0))

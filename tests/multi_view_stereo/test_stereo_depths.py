@@ -24,7 +24,7 @@ from exact_views import (
 from sculpt_framework.cpu_kernels import share_threads
 from sculpt_framework.multi_view_stereo.depth_maps import DepthMaps, StereoOptions, depth_bounds, find_depths
 from sculpt_framework.multi_view_stereo.fusion import fuse
-from sculpt_framework.multi_view_stereo.stereo_views import stereo_views
+from sculpt_framework.multi_view_stereo.stereo_views import away_from_outline, stereo_views
 from sculpt_framework.types import View
 
 OPTIONS = StereoOptions(pixels=64, neighbours=6, agreeing=2)
@@ -266,3 +266,29 @@ def test_bounds_enclose_what_is_solid() -> None:
     middle = np.abs(exact_maps(surface, stack).normals[..., 2]) > 0.5
     assert (exact - nearest)[hits & middle].max() < 4.5 * solid.cell
     assert (farthest[~stack.inside] == 0).all()
+
+
+def test_what_mixes_in_along_the_outline_of_a_plain_object_gives_no_depth() -> None:
+    """A ball of one colour, blurred with a dark room by the lens, as far as its mask reaches and beyond."""
+    plain = DentedBall(dent=0.0)
+    views = []
+    for camera in fan(128):
+        cut = photograph(plain, camera, lambda points: np.full(len(points), 0.7), masked=True)
+        assert cut.alpha is not None
+        mixed = cut.rgb * cut.alpha[..., None] + 0.2 * (1 - cut.alpha[..., None])
+        views.append(replace(cut, rgb=mixed, alpha=(cut.alpha >= 0.5).float()))
+    maps = find_depths(views, ball(0.85), replace(OPTIONS, pixels=128))
+    assert maps.known == 0.0
+
+
+def test_the_outline_is_left_out_where_there_is_more_than_outline() -> None:
+    mask = np.zeros((20, 30), bool)
+    mask[3:12, 4:15] = True
+    mask[7:9, 15:30] = True  # A bar of two pixels, as far as the image goes.
+    core = np.zeros_like(mask)
+    core[4:11, 5:14] = True
+    bar = np.zeros_like(mask)
+    bar[7:9, 15:] = True
+    assert (away_from_outline(mask) == (core | bar)).all()
+    assert away_from_outline(np.ones((4, 5), bool)).all()
+    assert not away_from_outline(np.zeros((4, 5), bool)).any()

@@ -14,16 +14,16 @@ from sculpt_framework.types import Camera, View
 
 _MARGIN = 2
 """Pixels of the input kept around the object."""
+_MIXED = 1
+"""Pixels along the outline into which what is behind the object mixes."""
+_LEAST_SHARE = np.float32(0.02)
+"""Of a pixel of a smaller image, from which on there is a colour."""
 LUMINANCE = np.array([0.299, 0.587, 0.114], np.float32)
 _AIM, _NARROW, _WIDE = 12.0, 5.0, 12.0
 """Degrees between two views that are compared at best, and how fast they count less below and above: more moves the
 image more per step of depth, but distorts it and hides more."""
 _ANGLES = (2.0, 45.0)
 """Degrees outside of which views are not compared."""
-_MIXED = 1
-"""Pixels along the outline into which what is behind the object mixes."""
-_LEAST_SHARE = np.float32(0.02)
-"""Of a pixel of a smaller image, from which on there is a colour."""
 _SPREAD = 0.5
 """How much less a view counts that stands in the same direction as one already chosen."""
 

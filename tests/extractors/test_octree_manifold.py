@@ -69,7 +69,7 @@ def test_random_fields_on_random_trees(seed, shape, depth, field, split):
 
 
 @pytest.mark.slow
-@settings(max_examples=2000, deadline=None)
+@settings(max_examples=1000, deadline=None)
 @given(**CASES)
 def test_very_many_random_fields_on_random_trees(seed, shape, depth, field, split):
     check_enumerated(*check_case(seed, shape, depth, field, split), split)

@@ -119,7 +119,7 @@ def test_it_is_watched_killed_and_resumed(name: str, scenes: Path, tmp_path: Pat
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["volsdf", "splatting-3d", "gof", "gsdf"])
+@pytest.mark.parametrize("name", ["volsdf", "gof"])
 def test_it_runs_in_a_batch_within_its_time_and_is_measured_again(name: str, scenes: Path, tmp_path: Path):
     own = (*SMALL[name], "--threads", "1", "--max-time", "8")
     told = run("batch", str(scenes), name, "--out", str(tmp_path / "out"), "--workers", "1", "--", *own)

@@ -16,6 +16,8 @@ _MARGIN = 2
 """Pixels of the input kept around the object."""
 _MIXED = 1
 """Pixels along the outline into which what is behind the object mixes."""
+_THIN = 3
+"""Pixels from the outline to the middle of the widest parts that would lose too much without it."""
 _LEAST_SHARE = np.float32(0.02)
 """Of a pixel of a smaller image, from which on there is a colour."""
 LUMINANCE = np.array([0.299, 0.587, 0.114], np.float32)
@@ -152,10 +154,12 @@ def _prepare(view: View, pixels_per_unit: float) -> _Part | None:
 
 
 def away_from_outline(mask: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """The mask without the pixels along its outline, except those of parts that have no others.
+    """The mask without the pixels along its outline, except those of thin parts: of rods and rings little else is left.
 
     The border of the image is no outline.
     """
     around = np.ones((3, 3), np.uint8)
-    core = cv2.erode(mask.astype(np.uint8), around, iterations=_MIXED)
-    return (core > 0) | (mask & (cv2.dilate(core, around, iterations=_MIXED) == 0))
+    whole = mask.astype(np.uint8)
+    # One more than it was eroded by: the corners of wide parts are none that are thin.
+    wide = cv2.dilate(cv2.erode(whole, around, iterations=_THIN), around, iterations=_THIN + 1)
+    return (cv2.erode(whole, around, iterations=_MIXED) > 0) | (mask & (wide == 0))

@@ -224,6 +224,23 @@ def test_a_plinth_no_larger_than_the_object_is_a_part_of_it():
     assert not goes_on(planes[0], points, _on_box(BLOCK)[0], REACH)
 
 
+def test_a_plate_a_tenth_larger_than_the_object_is_what_it_lies_on():
+    points, normals = _joined(_on_box(BLOCK), _on_table(0.34, BLOCK))
+    assert goes_on(find_planes(points, normals, REACH)[0], points, _on_box(BLOCK)[0], REACH)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_plane_is_found_where_no_single_normal_is_right(seed: int):
+    """By chance, before several guesses were fitted: none of two of these five."""
+    chance = np.random.default_rng(seed)
+    points, normals = (np.concatenate(each) for each in zip(_on_box(BLOCK), _on_table(0.9, BLOCK), strict=True))
+    points = points + chance.normal(0, 0.01, points.shape)
+    normals = normals + chance.normal(0, 0.3, normals.shape)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    (plane,) = find_planes(points, normals, REACH)[:1]
+    assert plane.normal @ [0, 0, 1] > np.cos(np.radians(2))
+
+
 def test_a_wall_behind_the_table_is_a_second_plane():
     chance = np.random.default_rng(4)
     wall = np.column_stack([chance.uniform(-0.9, 0.9, 3000), np.full(3000, 0.5), chance.uniform(-0.4, 0.9, 3000)])

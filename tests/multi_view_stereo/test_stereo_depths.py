@@ -281,14 +281,18 @@ def test_what_mixes_in_along_the_outline_of_a_plain_object_gives_no_depth() -> N
     assert maps.known == 0.0
 
 
-def test_the_outline_is_left_out_where_there_is_more_than_outline() -> None:
-    mask = np.zeros((20, 30), bool)
+def test_the_outline_is_left_out_except_of_thin_parts() -> None:
+    mask = np.zeros((20, 40), bool)
     mask[3:12, 4:15] = True
-    mask[7:9, 15:30] = True  # A bar of two pixels, as far as the image goes.
+    mask[5:11, 15:40] = True  # A bar of six pixels, as far as the image goes.
+    kept = away_from_outline(mask)
     core = np.zeros_like(mask)
     core[4:11, 5:14] = True
-    bar = np.zeros_like(mask)
-    bar[7:9, 15:] = True
-    assert (away_from_outline(mask) == (core | bar)).all()
+    body, bar = np.s_[:, :14], np.s_[:, 18:]
+    assert (kept[body] == core[body]).all()
+    assert (kept[bar] == mask[bar]).all()
+    mask[4, 15:] = True  # Of seven it is thin no longer.
+    core[5:10, 14:] = True
+    assert (away_from_outline(mask) == core).all()
     assert away_from_outline(np.ones((4, 5), bool)).all()
     assert not away_from_outline(np.zeros((4, 5), bool)).any()

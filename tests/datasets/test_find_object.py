@@ -231,7 +231,7 @@ def test_a_plate_a_tenth_larger_than_the_object_is_what_it_lies_on():
 
 @pytest.mark.parametrize("seed", range(5))
 def test_the_plane_is_found_where_no_single_normal_is_right(seed: int):
-    """By chance, before several guesses were fitted: none of two of these five."""
+    """It was by chance, before several guesses were fitted: not for two of these five."""
     chance = np.random.default_rng(seed)
     points, normals = (np.concatenate(each) for each in zip(_on_box(BLOCK), _on_table(0.9, BLOCK), strict=True))
     points = points + chance.normal(0, 0.01, points.shape)

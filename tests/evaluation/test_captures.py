@@ -164,7 +164,8 @@ def test_with_real_runs(captures: Path, capsys: pytest.CaptureFixture[str], monk
     monkeypatch.setattr("sculpt_framework.experiments.runner.TRAIN", TRAIN)
     folder = captures.parent / "around"
     write_ball(write_capture(folder / "ball", views=30) / "openmvs.ply", 1.04)
-    words = "suite captures around --masks both --against openmvs.ply --steps 4"
+    write_capture(folder / "bare", masks=False, truth=False, views=30)
+    words = "suite captures around --against openmvs.ply --steps 4"
     extra = "--methods gaussian-sculpting-tiny -- --trainer.fit-steps 30 --trainer.polish-steps 4"
     bench([*words.split(), *extra.split()])
     found = rows()

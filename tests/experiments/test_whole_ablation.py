@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 WORDS = (
-    "--method gaussian-sculpting-tiny --scenes demo --factors isolation --equal steps --budget 8 --out out "
+    "--method gaussian-sculpting-tiny --scenes demo --factors constraints isolation --equal steps --budget 8 --out out "
     "-- --dataset demo --dataset.resolution 48 --dataset.train-views 10 --dataset.test-views 2 "
     "--trainer.fit-steps 30 --trainer.polish-steps 4 --binder.gaussians-per-face 3"
 )
@@ -31,9 +31,9 @@ def test_an_ablation_is_run_and_not_run_again(tmp_path: Path):
             encoding="utf-8",
         )
         assert done.returncode == 0, done.stderr
-    assert "2 of 2 runs were done before." in done.stdout
+    assert "6 of 6 runs were done before." in done.stdout
     with open(tmp_path / "out" / "results.csv", encoding="utf-8") as lines:
         rows = {row["setting"]: row for row in csv.DictReader(lines)}
     assert {row["status"] for row in rows.values()} == {"finished"}
     assert {row["outer"] for row in rows.values()} == {"8"}
-    assert len({rows[name]["chamfer"] for name in ("default", "no-isolation")}) == 2
+    assert len({rows[name]["chamfer"] for name in ("default", "none", "no-isolation")}) == 3

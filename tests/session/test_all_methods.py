@@ -118,8 +118,10 @@ def test_it_is_watched_killed_and_resumed(name: str, scenes: Path, tmp_path: Pat
     assert "<svg" in (folder / "report.html").read_text(encoding="utf-8")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["volsdf", "gof"])
+@pytest.mark.parametrize("name", [
+    pytest.param(name, marks=pytest.mark.slow if name in ("volsdf", "gof") else pytest.mark.long)
+    for name in ("volsdf", "splatting-3d", "gof", "gsdf")
+])  # fmt: skip
 def test_it_runs_in_a_batch_within_its_time_and_is_measured_again(name: str, scenes: Path, tmp_path: Path):
     own = (*SMALL[name], "--threads", "1", "--max-time", "8")
     told = run("batch", str(scenes), name, "--out", str(tmp_path / "out"), "--workers", "1", "--", *own)

@@ -68,11 +68,13 @@ def received_bytes(client: Connection, seconds: float, *, first: float | None = 
 
 
 def find_control(client: Connection, kind: str, label: str, seconds: float = 60.0) -> str:
-    """The uuid of the control that is labelled so; ``kind`` is the type of its message, as in "GuiButtonMessage".
+    """The uuid of the control that is labelled so, once it is shown; ``kind`` is the type of its message, as in
+    "GuiButtonMessage".
 
-    Raises TimeoutError if the page has none by then.
+    Raises TimeoutError if the page shows none by then.
     """
     deadline = time.monotonic() + seconds
+    hidden = set[str]()
     while (left := deadline - time.monotonic()) > 0:
         try:
             data = client.recv(timeout=left)
@@ -80,12 +82,20 @@ def find_control(client: Connection, kind: str, label: str, seconds: float = 60.
             break
         for message in _messages(_as_bytes(data)):
             if message["type"] == kind and message["props"]["label"] == label:
-                return message["uuid"]
-    raise TimeoutError(f"the page has no {kind} labelled {label!r}")
+                if message["props"]["visible"]:
+                    return message["uuid"]
+                hidden.add(message["uuid"])
+            elif message["type"] == "GuiUpdateMessage" and message["uuid"] in hidden:
+                if message["updates"].get("visible"):
+                    return message["uuid"]
+    raise TimeoutError(f"the page shows no {kind} labelled {label!r}")
 
 
 def set_control(client: Connection, uuid: str, value: object) -> None:
-    """As if somebody had given the control this value; a button is pressed with True."""
+    """As if somebody had given the control this value; a button is pressed with True.
+
+    The client has to stay open until that shows: the server may forget what one that closes has just asked for.
+    """
     send(client, messages.GuiUpdateMessage(uuid=uuid, updates={"value": value}))
 
 

@@ -74,7 +74,7 @@ def find_control(client: Connection, kind: str, label: str, seconds: float = 60.
     Raises TimeoutError if the page shows none by then.
     """
     deadline = time.monotonic() + seconds
-    hidden = set[str]()
+    looked_for, shown = None, False
     while (left := deadline - time.monotonic()) > 0:
         try:
             data = client.recv(timeout=left)
@@ -82,12 +82,11 @@ def find_control(client: Connection, kind: str, label: str, seconds: float = 60.
             break
         for message in _messages(_as_bytes(data)):
             if message["type"] == kind and message["props"]["label"] == label:
-                if message["props"]["visible"]:
-                    return message["uuid"]
-                hidden.add(message["uuid"])
-            elif message["type"] == "GuiUpdateMessage" and message["uuid"] in hidden:
-                if message["updates"].get("visible"):
-                    return message["uuid"]
+                looked_for, shown = message["uuid"], message["props"]["visible"]
+            elif message["type"] == "GuiUpdateMessage" and message["uuid"] == looked_for:
+                shown = message["updates"].get("visible", shown)
+            if looked_for is not None and shown:
+                return looked_for
     raise TimeoutError(f"the page shows no {kind} labelled {label!r}")
 
 

@@ -38,6 +38,7 @@ class Controls:
         send: Callable[[Command], None],
     ):
         self._server, self._stage, self._send = server, stage, send
+        self._place: viser.GuiButtonHandle | None = None
         with tabs.add_tab("Steer"):
             self._button("Pause", Pause())
             self._button("Go on", Resume())
@@ -48,6 +49,11 @@ class Controls:
                 self._add_terms(config)
                 self._add_box()
         self._box: MovableBox | None = None
+
+    def update(self) -> None:
+        """Offer what can be done by now: boxes are placed in that of the object, which the run has to tell first."""
+        if self._place is not None and not self._place.visible:
+            self._place.visible = self._stage.box is not None
 
     def _add_terms(self, config: SculptingConfig) -> None:
         gui = self._server.gui
@@ -66,7 +72,7 @@ class Controls:
     def _add_box(self) -> None:
         gui = self._server.gui
         with gui.add_folder("A box"):
-            self._place = gui.add_button("Place a box")
+            self._place = gui.add_button("Place a box", visible=False)
             self._size = gui.add_vector3("Sides", (1.0, 1.0, 1.0), min=(1e-6, 1e-6, 1e-6), visible=False)
             self._actions = [self._box_button(label, kind) for label, kind in _KINDS]
             self._button("Take all boxes back", ClearBoxes())

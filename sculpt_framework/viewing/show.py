@@ -31,8 +31,7 @@ class Show:
         self.overview = Overview(self.server, self.run)
         tabs = self.server.gui.add_tab_group()
         self.stage = Stage(self.server, self.run, tabs)
-        if send is not None:
-            self.controls = Controls(self.server, tabs, self.run.config, self.stage, send)
+        self.controls = None if send is None else Controls(self.server, tabs, self.run.config, self.stage, send)
         self.overview.add_tabs(tabs)
         self._scene: Scene | SculptError | None = None
         """The views, or why there are none, from the thread that reads them to the one that shows them."""
@@ -56,6 +55,8 @@ class Show:
             self.stage.set_scene(scene)
         self.overview.hear(self.run.read_news())
         self.stage.update()
+        if self.controls is not None:
+            self.controls.update()
 
     def loop(self, ended: threading.Event, told: Callable[[int], None] = lambda watching: None) -> None:
         """Update until ``ended``, and once more then; ``told`` hears how many browsers look when that changes."""

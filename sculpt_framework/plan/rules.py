@@ -50,8 +50,9 @@ FACE_SHARE = 0.7
 """Width of a face as a share of its cell's: two triangles for a square."""
 REST_AFTER = 20
 POLISH_GAIN_DB = 0.02
-POLISH_OF_VIEWS, POLISH_FRESH = 3, (60, 200)
-"""Steps for each view where Gaussians have to learn their colours anew, and how many at least and at most."""
+POLISH_OF_VIEWS, POLISH_FRESH, POLISH_RATE = 3, (60, 200), 3.0
+"""Where colours have only followed the surface: steps for each view, how many at least and at most, and the rate that
+they begin with."""
 ACTIVE_EVERY = 60
 SHADED_DEGREE, SHADED_EVERY, SHADED_RATE = 3, 20, 5e-3
 """Of colours under light that turns relative to the object: degree, steps until the next is active, rate of all but the
@@ -219,7 +220,7 @@ def gaussians(config: SculptingConfig, evidence: Evidence) -> Ruling:
     measured = {"face_pixels": face, "contrast": fine}
     wanted = 1 if fine < FINE_TEXTURE else max(1, min(GAUSSIANS_MOST, round(area / GAUSSIAN_PIXELS)))
     polished = 1
-    if not any(name_of(each) == PHOTOMETRIC and each.weight > 0 for each in config.losses):
+    if not _colors_teach(config):
         wanted, polished = 1, wanted if config.trainer.polish_steps else 1
         why += ", but the surface does not learn from colours"
     if count is None or (count == wanted and polished == 1):
@@ -302,11 +303,13 @@ def polish(config: SculptingConfig, evidence: Evidence) -> Ruling:
     why = f"{evidence.views} views; the run has yet to show how long colours improve"
     if trainer.polish_steps == 0 or trainer.polish_gain_db > 0 or config.holdout_every == 0:
         return Ruling(config=config, value=f"{trainer.polish_steps} steps", evidence=why)
-    if trainer.polish_gaussians > 1:
+    if not _colors_teach(config):
         least, most = POLISH_FRESH
         steps = min(most, max(least, POLISH_OF_VIEWS * evidence.views))
-        why = f"{evidence.views} views, in whose light held-out ones differ too much to say when to end"
-        return Ruling(config=with_options(config, "trainer", polish_steps=steps), value=f"{steps} steps", evidence=why)
+        why = f"{evidence.views} views; until then colours only follow the surface"
+        decided = with_options(config, "trainer", polish_steps=steps, polish_rate=POLISH_RATE)
+        value = f"{steps} steps, at first at {POLISH_RATE:g} times the rates"
+        return Ruling(config=decided, value=value, evidence=why)
     return Ruling(
         config=with_options(config, "trainer", polish_gain_db=POLISH_GAIN_DB),
         value=f"at most {trainer.polish_steps} steps, until the last twenty gain less than {POLISH_GAIN_DB} dB",
@@ -314,6 +317,11 @@ def polish(config: SculptingConfig, evidence: Evidence) -> Ruling:
         measured={"gain_db": POLISH_GAIN_DB},
         saves="the steps after that",
     )
+
+
+def _colors_teach(config: SculptingConfig) -> bool:
+    """Whether the surface learns from colours."""
+    return any(name_of(each) == PHOTOMETRIC and each.weight > 0 for each in config.losses)
 
 
 def cell_pixels(config: SculptingConfig, evidence: Evidence) -> float:
@@ -350,5 +358,7 @@ RULES: Sequence[Rule] = (
     Rule(item="places", touches=("binder", "binder.places", "constraints"), decide=places),
     Rule(item="constraints", touches=("constraints", "trainer.rest_after"), decide=constraints),
     Rule(item="inner_steps", touches=(STAGES,), decide=inner_steps),
-    Rule(item="polish", touches=("trainer.polish_steps", "trainer.polish_gain_db"), decide=polish),
+    Rule(
+        item="polish", touches=("trainer.polish_steps", "trainer.polish_rate", "trainer.polish_gain_db"), decide=polish
+    ),
 )

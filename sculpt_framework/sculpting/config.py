@@ -94,6 +94,9 @@ class TrainerConfig:
     """Inner steps on the final surface, for the colours that are saved."""
     polish_gaussians: Annotated[int, between(1, 12)] = 1
     """Gaussians on a face from then on, if the binder has fewer: colours finer than faces."""
+    polish_rate: Annotated[float, above(0)] = 0.3
+    """Learning rates of then, times those a run begins with; they fall to ``final_rate`` times those, if that is less.
+    More than 0.3 unsettles colours that are nearly right; those that have only followed the surface need 3."""
     polish_gain_db: Annotated[float, at_least(0)] = 0.0
     """Stop that once twenty steps gain less than the twenty before on two held-out views; 0: never."""
     rest_after: Annotated[int, at_least(0)] = 0

@@ -127,11 +127,11 @@ class Sculpting(Reconstructor):
         binder, wanted = scene.binder, self.config.trainer.polish_gaussians
         end = self._host.deadline(share_left=0.025, seconds_left=2.0)
         more = binder.with_gaussians(max(wanted, binder.gaussians_per_face))
-        if fresh := more.gaussians_per_face > binder.gaussians_per_face:
+        if more.gaussians_per_face > binder.gaussians_per_face:
             scene.rebind(more)
         try:
             trainer = self.config.trainer
-            for told in polish(self.trainer, surface, self.images, self.judge, trainer, end, fresh=fresh):
+            for told in polish(self.trainer, surface, self.images, self.judge, trainer, end):
                 self._host.tell("decision", told)
         except FloatingPointError as error:
             self._host.warn(f"colours are as training left them: {error}")

@@ -16,10 +16,6 @@ from sculpt_framework.types import Surface
 
 CHUNK = 10
 """Steps between two looks at the clock and at what they have gained."""
-_RATE_AT_MOST = 0.3
-"""Of the rates that a run begins with: higher ones would unsettle colours that are nearly right."""
-_FRESH_RATE = 3.0
-"""The same where Gaussians have only the colour of their face to begin with."""
 
 
 def polish(
@@ -29,20 +25,17 @@ def polish(
     judge: Judge | None,
     config: TrainerConfig,
     deadline: float | None,
-    *,
-    fresh: bool,
 ) -> list[dict[str, Any]]:
     """Inner steps on ``surface``: as many as the config says, fewer if they stop to gain or the deadline comes.
 
-    They go on at the rates that the run has ended with, or come down to them where the Gaussians are ``fresh``. Of
-    colours that are watched the best are kept.
+    Of colours that are watched the best are kept.
 
     ``deadline`` is a ``time.monotonic()`` instant. Returns the data of the decision, if it ended for want of gain.
     """
     judge, first = judge if config.polish_gain_db > 0 else None, trainer.processes.first
     rule = StopRule(least_gain=config.polish_gain_db, latest=FEWEST)
-    learning, last = trainer.scene.learning, min(_RATE_AT_MOST, config.final_rate)
-    first_rate = _FRESH_RATE if fresh else last
+    learning, first_rate = trainer.scene.learning, config.polish_rate
+    last = min(first_rate, config.final_rate)
 
     score = best = judge(object_gaussians(trainer.scene, surface)) if judge else 0.0
     watched = [(0.0, score)]

@@ -193,6 +193,21 @@ def test_colours_are_polished_for_as_many_steps_as_asked_for(scene: Scene, steps
     assert taken[1] - taken[0] == steps
 
 
+@pytest.mark.parametrize(("first", "rates"), [(3.0, [3.0 * 0.1**0.5, 0.3]), (0.2, [0.2, 0.2])])
+def test_rates_of_polishing_fall_to_the_last_ones(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch, first: float, rates: list[float]
+):
+    inner_loop, taken = BiLevelTrainer.inner_loop, []
+
+    def watched(trainer: BiLevelTrainer, surface: Any, images: Any, steps: int, rate_factor: float, *rest: Any) -> Any:
+        taken.append(rate_factor)
+        return inner_loop(trainer, surface, images, steps, rate_factor, *rest)
+
+    monkeypatch.setattr(BiLevelTrainer, "inner_loop", watched)
+    finished(Session(scene, small_config(steps=1, polish_steps=20, polish_rate=first, final_rate=0.3)))
+    assert taken[-2:] == pytest.approx(rates)
+
+
 def test_colours_may_be_polished_on_more_gaussians(scene: Scene):
     session = Session(scene, small_config(steps=2, polish_steps=10, polish_gaussians=3))
     result = finished(session)

@@ -261,10 +261,14 @@ def test_where_colours_teach_nothing_there_are_more_gaussians_only_to_be_polishe
     config, changed = decided(large, bare)
     assert vars(config.binder)["gaussians_per_face"] == 1
     assert (config.trainer.polish_gaussians, config.trainer.polish_gain_db) == (4, 0.0)
-    assert config.trainer.polish_steps == max(60, min(200, 3 * large.views))
+    steps = max(60, min(200, 3 * large.views))
+    assert (config.trainer.polish_steps, config.trainer.polish_rate) == (steps, 3.0)
     assert changed["gaussians"].saves == "3 of 4 Gaussians until then"
     plain, _ = decided(replace(large, contrast=(0.001,) * 4), bare)
-    assert plain.trainer.polish_gaussians == 1
+    assert (plain.trainer.polish_gaussians, plain.trainer.polish_rate) == (1, 3.0)
+    assert plain.trainer.polish_steps == steps
+    taught, _ = decided(large)
+    assert taught.trainer.polish_rate == method().trainer.polish_rate
 
 
 def test_small_faces_learn_no_places_and_need_no_constraints() -> None:

@@ -64,6 +64,7 @@ def main() -> None:
             config,
             scene.train,
             scene.box,
+            scene.supports,
             detail,
             generator,
             device,

@@ -154,6 +154,16 @@ class Box:
         return replace(camera, world_to_camera=moved.to(camera.world_to_camera.dtype))
 
 
+@dataclass(frozen=True, kw_only=True)
+class Support:
+    """A plane that the object stands on, or before. Nothing of the object lies behind it."""
+
+    normal: tuple[float, float, float]
+    """Unit, to the side the object is on."""
+    offset: float
+    """Product of the normal with any point of the plane; larger in front of it."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scene:
     """What a dataset hands over. Cameras and box in world frame."""
@@ -168,6 +178,8 @@ class Scene:
     """One line each for whatever was unusual in the input and what is done about it."""
     up: tuple[float, float, float] | None = None
     """The side that the plane the object stands on faces, unit, where that was found in the photographs."""
+    supports: tuple[Support, ...] = ()
+    """What it stands on and before, world frame, where that was found in the photographs."""
     points: Float64[np.ndarray, "n 3"] | None = None
     """Places that photographs show, of the object and of what is around it, world frame; None where none are known."""
     data: str = ""

@@ -22,7 +22,7 @@ CUT = 0.5
 """Share of the masks, cut by the borders of their images, from which on carving has too little to go by."""
 FAR_APART = 26.0
 """Degrees between a view and the one nearest to it from which on too little of what both show looks alike."""
-UNEVEN_LIGHT = 0.03
+UNEVEN_LIGHT = 0.024
 """The same share from which on the surface does not learn from colours either: they would move it away from where views
 agree."""
 AGREEING_VIEWS = 6

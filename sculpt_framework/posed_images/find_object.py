@@ -26,7 +26,7 @@ from sculpt_framework.posed_images.support import Plane, find_planes, goes_on
 from sculpt_framework.shape_from_images.volume import Volume, whole_box
 from sculpt_framework.spread import spread
 from sculpt_framework.threads import in_threads
-from sculpt_framework.types import Box, View
+from sculpt_framework.types import Box, Support, View
 
 _AROUND = 2.0
 """How many times as wide as the box where the object is looked for is the space in which depths are found: what stands
@@ -90,6 +90,8 @@ class FoundObject:
     said: str
     up: tuple[float, float, float] | None
     """The normal of the plane it stands on, unit, in world axes; None where none is cut away."""
+    supports: tuple[Support, ...]
+    """The planes that are cut away, world frame."""
     points: Float64[np.ndarray, "n 3"]
     """Places that the photographs show, of the object and of what is around it, world frame."""
 
@@ -133,7 +135,20 @@ def find_object(
     if len(train) < len(views):
         said += f" {len(views) - len(train)} images that do not show it are left out."
     points = frame.to_world(torch.from_numpy(solid.points)).numpy()
-    return FoundObject(train=train, test=done[len(views) :], said=said, up=_up(solid.planes, posed), points=points)
+    return FoundObject(
+        train=train,
+        test=done[len(views) :],
+        said=said,
+        up=_up(solid.planes, posed),
+        supports=tuple(_support(plane, frame) for plane in solid.planes),
+        points=points,
+    )
+
+
+def _support(plane: Plane, frame: Box) -> Support:
+    """A plane of the cube's frame, whose axes are the world's, in world frame."""
+    x, y, z = plane.normal.tolist()
+    return Support(normal=(x, y, z), offset=float(plane.normal @ frame.to_world(torch.from_numpy(plane.point)).numpy()))
 
 
 def _up(planes: Sequence[Plane], views: Sequence[View]) -> tuple[float, float, float] | None:

@@ -18,7 +18,7 @@ from sculpt_framework.posed_images.outvoted import without_outvoted
 from sculpt_framework.posed_images.projected_box import box_outline
 from sculpt_framework.posed_images.views import PosedImage, load_views
 from sculpt_framework.threads import in_threads
-from sculpt_framework.types import Box, Scene, View
+from sculpt_framework.types import Box, Scene, Support, View
 
 Item = TypeVar("Item")
 
@@ -56,7 +56,7 @@ def load_photographs(
     loaded = load_views(train, test, keyed, downscale=options.downscale, all_round=True)
     said = [*notes, *turned, *loaded.notes]
     views, held_out = list(loaded.train), list(loaded.test)
-    up, points = None, clues.points
+    up, supports, points = None, (), clues.points
     given = None if options.box is None else Box.between(options.box[:3], options.box[3:])
     bare = sum(view.alpha is None for view in views)
     if bare and by_file and options.masks == "auto":
@@ -66,7 +66,7 @@ def load_photographs(
         seed, how = (given, "the box given") if given is not None else seed_box(views, clues)
         sure = given is not None or clues.box is not None
         cut = _with_masks(views, held_out, seed, sure, options)
-        views, held_out, up = cut.train, cut.test, cut.up
+        views, held_out, up, supports = cut.train, cut.test, cut.up, cut.supports
         points = np.concatenate([points, cut.points])
         said += [f"the object is looked for in {how}.", *cut.said]
     bounds = FoundBox(box=given, said="box as given.", cuts=True) if given is not None else _find_box(views, clues)
@@ -88,6 +88,7 @@ def load_photographs(
         reference_mesh=reference,
         notes=(*said, bounds.said),
         up=up,
+        supports=supports,
         points=points if len(points) else None,
     )
 
@@ -101,6 +102,7 @@ class _Cut:
     said: list[str]
     up: tuple[float, float, float] | None = None
     """Where the object is found to stand on something."""
+    supports: tuple[Support, ...] = ()
     points: Float64[np.ndarray, "n 3"] = field(default_factory=lambda: np.zeros((0, 3)))
     """What depths there are, in world frame."""
 
@@ -115,7 +117,14 @@ def _with_masks(views: Sequence[View], test: Sequence[View], seed: Box, sure: bo
     if options.masks != "cut-out":
         found = find_object(views, test, seed, sure=sure, keep_support=options.keep_support)
         if isinstance(found, FoundObject):
-            return _Cut(train=found.train, test=found.test, said=[found.said], up=found.up, points=found.points)
+            return _Cut(
+                train=found.train,
+                test=found.test,
+                said=[found.said],
+                up=found.up,
+                supports=found.supports,
+                points=found.points,
+            )
         notes.append(f"no object is found by depth: {found}.")
     train, held_out, note = cut_out(views, test, seed)
     return _Cut(train=train, test=held_out, said=[*notes, note])

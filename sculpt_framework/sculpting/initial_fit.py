@@ -3,6 +3,8 @@
 from collections.abc import Callable, Sequence
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from sculpt_framework import registry
 from sculpt_framework.config import ExtractorConfig
@@ -17,7 +19,7 @@ from sculpt_framework.posed_images.training_images import in_object_frame
 from sculpt_framework.sculpting.config import SculptingConfig
 from sculpt_framework.shape_from_images.field_fit import fit_field
 from sculpt_framework.shape_from_images.volume import sample
-from sculpt_framework.types import Box, Surface, View
+from sculpt_framework.types import Box, Support, Surface, View
 
 _CELLS_AT_LEAST, _CELLS_AT_MOST = 64, 256
 """Along the longest side of the box, in which a start is tabulated; in between, as many as the finest stage has."""
@@ -33,12 +35,14 @@ def fit_to_views(
     config: SculptingConfig,
     views: Sequence[View],
     box: Box,
+    supports: Sequence[Support],
     detail: float,
     generator: torch.Generator,
     device: torch.device,
     come_by: Callable[[SdfFunction], None],
 ) -> float:
-    """Fit the field to what the initializer makes of the views, in world frame; returns as ``fit_field``.
+    """Fit the field to what the initializer makes of the views, in world frame, and what of it lies before the
+    ``supports``; returns as ``fit_field``.
 
     ``detail`` is the size of the first stage's cells in object units, which the field is told.
     ``come_by`` is shown what the initializer makes, as it makes it. Raises DataError if no start can be made from the
@@ -46,7 +50,8 @@ def fit_to_views(
     """
     cameras = [in_object_frame(view, box) for view in views]
     target = None
-    for target in initializer.targets(cameras, box.half_sides, device):
+    for made in initializer.targets(cameras, box.half_sides, device):
+        target = before_supports(made, supports, box)
         come_by(target)
     if target is None:
         raise ValueError(f"{type(initializer).__name__} makes nothing to start from")
@@ -58,6 +63,22 @@ def fit_to_views(
     error = fit_field(field, volume, steps=config.trainer.fit_steps, generator=generator, device=device)
     field.set_detail(detail)
     return error
+
+
+def before_supports(shape: SdfFunction, supports: Sequence[Support], box: Box) -> SdfFunction:
+    """The part of a shape, in the box's frame, that lies before all planes. Silhouettes leave a cone below what is only
+    seen from above."""
+    if not supports:
+        return shape
+    normals = torch.tensor([support.normal for support in supports], dtype=torch.float64)
+    offsets = torch.tensor([support.offset for support in supports], dtype=torch.float64)
+    offsets = (offsets - normals @ box.center.double()) / box.scale
+
+    def value(points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
+        behind = (offsets.to(points) - points @ normals.to(points).T).amax(dim=1)
+        return torch.maximum(shape(points), behind)
+
+    return value
 
 
 def start_surface(target: SdfFunction, extractor: Extractor, device: torch.device) -> Surface:

@@ -46,7 +46,7 @@ class Sculpting(Reconstructor):
     def __init__(self, config: SculptingConfig, scene: Scene, host: Host):
         """Raises SculptError for what the components cannot do together."""
         self.config = config
-        self._box, self._host, self._points = scene.box, host, scene.points
+        self._box, self._supports, self._points, self._host = scene.box, scene.supports, scene.points, host
         self._generator = torch.Generator().manual_seed(config.seed)
         parts = assembly.build_parts(config, scene.box, self._generator, host.processes)
         self.trainer = parts.trainer
@@ -74,7 +74,16 @@ class Sculpting(Reconstructor):
         config, parts, host, box = self.config, self.parts, self._host, self._box
         random, device, initializer = self._generator, parts.device, config.initializer.build()
         error = fit_to_views(
-            self.trainer.field, initializer, config, host.views, box, parts.detail, random, device, self._show_start
+            self.trainer.field,
+            initializer,
+            config,
+            host.views,
+            box,
+            self._supports,
+            parts.detail,
+            random,
+            device,
+            self._show_start,
         )
         if (background := self.trainer.background) is not None:
             background.begin(host.views, box, self._points, self._generator)

@@ -99,6 +99,9 @@ def test_a_ball_is_told_from_the_table_it_stands_on(monkeypatch: pytest.MonkeyPa
     assert isinstance(found, FoundObject), found
     assert "the plane it stands on is cut away" in found.said
     assert found.up == pytest.approx((0, 1, 0), abs=0.03)
+    (table,) = found.supports
+    assert table.normal == found.up
+    assert table.offset == pytest.approx(-_BALL, abs=0.02)
     scores = overlaps([*found.test, *found.train], truth)
     # A pixel along the outline is a twenty-fifth of the ball.
     assert min(scores) > 0.85
@@ -148,6 +151,7 @@ def test_what_it_stands_on_may_stay():
     assert isinstance(found, FoundObject), found
     assert "cut away" not in found.said
     assert found.up is None
+    assert found.supports == ()
     covered = [float(view.alpha.mean()) for view in found.train if view.alpha is not None]
     assert min(covered) > 1.5 * max(float(view.alpha.mean()) for view in truth if view.alpha is not None)
 

@@ -179,7 +179,7 @@ class Scene:
     up: tuple[float, float, float] | None = None
     """The side that the plane the object stands on faces, unit, where that was found in the photographs."""
     supports: tuple[Support, ...] = ()
-    """What it stands on and before, world frame, where that was found in the photographs."""
+    """What the object stands on and before, world frame, where that was found in the photographs."""
     points: Float64[np.ndarray, "n 3"] | None = None
     """Places that photographs show, of the object and of what is around it, world frame; None where none are known."""
     data: str = ""

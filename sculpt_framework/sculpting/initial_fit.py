@@ -3,8 +3,6 @@
 from collections.abc import Callable, Sequence
 
 import torch
-from jaxtyping import Float
-from torch import Tensor
 
 from sculpt_framework import registry
 from sculpt_framework.config import ExtractorConfig
@@ -17,6 +15,7 @@ from sculpt_framework.geometry.signed_distance import SdfFunction
 from sculpt_framework.initializers import Initializer
 from sculpt_framework.posed_images.training_images import in_object_frame
 from sculpt_framework.sculpting.config import SculptingConfig
+from sculpt_framework.sculpting.supports import before_supports
 from sculpt_framework.shape_from_images.field_fit import fit_field
 from sculpt_framework.shape_from_images.volume import sample
 from sculpt_framework.types import Box, Support, Surface, View
@@ -63,22 +62,6 @@ def fit_to_views(
     error = fit_field(field, volume, steps=config.trainer.fit_steps, generator=generator, device=device)
     field.set_detail(detail)
     return error
-
-
-def before_supports(shape: SdfFunction, supports: Sequence[Support], box: Box) -> SdfFunction:
-    """The part of a shape, in the box's frame, that lies before all planes. Silhouettes leave a cone below what is only
-    seen from above."""
-    if not supports:
-        return shape
-    normals = torch.tensor([support.normal for support in supports], dtype=torch.float64)
-    offsets = torch.tensor([support.offset for support in supports], dtype=torch.float64)
-    offsets = (offsets - normals @ box.center.double()) / box.scale
-
-    def value(points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
-        behind = (offsets.to(points) - points @ normals.to(points).T).amax(dim=1)
-        return torch.maximum(shape(points), behind)
-
-    return value
 
 
 def start_surface(target: SdfFunction, extractor: Extractor, device: torch.device) -> Surface:

@@ -32,6 +32,7 @@ from sculpt_framework.sculpting.sh_pruning import Judge, prune_bands
 from sculpt_framework.sculpting.silhouettes_first import shape_by_silhouettes
 from sculpt_framework.sculpting.state import capture, restore, undisturbed
 from sculpt_framework.sculpting.steering import Wishes
+from sculpt_framework.sculpting.supports import before_supports
 from sculpt_framework.sculpting.trainer import Settled
 from sculpt_framework.snapshot import Cells, Snapshot
 from sculpt_framework.types import Camera, Gaussians, Rendering, Scene, Surface
@@ -50,6 +51,7 @@ class Sculpting(Reconstructor):
         self._generator = torch.Generator().manual_seed(config.seed)
         parts = assembly.build_parts(config, scene.box, self._generator, host.processes)
         self.trainer = parts.trainer
+        self.trainer.bound = lambda shape: before_supports(shape, scene.supports, scene.box)
         self._rates = Rates(config.trainer, timed=host.timed)
         self.images: list[TrainingImage] = []
         """What the present stage learns from."""

@@ -21,6 +21,7 @@ from sculpt_framework.binders import Binding
 from sculpt_framework.constraints import Constraint
 from sculpt_framework.extractors import Extraction, Extractor
 from sculpt_framework.fields import Field
+from sculpt_framework.geometry.signed_distance import SdfFunction
 from sculpt_framework.losses import GeometryLoss, ImageLoss, Term, TrainingImage, ViewsLoss
 from sculpt_framework.parallel.processes import Alone, Processes
 from sculpt_framework.rasterizers import Rasterizer
@@ -111,6 +112,8 @@ class BiLevelTrainer:
         self.extraction: Extraction | None = None
         self.inner_total = 0
         self.frozen: list[FrozenField] = []
+        self.bound: Callable[[SdfFunction], SdfFunction] = lambda shape: shape
+        """Of what the field says, what can be the object."""
         self.ignored: list[Box] = []
         """Where images teach nothing about the surface."""
         self.surface_rate = 1.0
@@ -292,7 +295,10 @@ class BiLevelTrainer:
         return binding
 
     def signed_distance(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
-        return signed_distance(self.field, self.frozen, points, margin=2 * self.extractor.grid.cell)
+        def free(at: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
+            return signed_distance(self.field, self.frozen, at, margin=2 * self.extractor.grid.cell)
+
+        return self.bound(free)(points)
 
     def _compare(
         self,

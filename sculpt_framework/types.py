@@ -140,10 +140,10 @@ class Box:
         low, high = self.minimum.to(points), self.maximum.to(points)
         return torch.minimum(points - low, high - points).amin(dim=1)
 
-    def to_object(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+    def to_object(self, points: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n 3"]:
         return (points - self.center.to(points)) / self.scale
 
-    def to_world(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+    def to_world(self, points: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n 3"]:
         return points * self.scale + self.center.to(points)
 
     def camera_to_object(self, camera: Camera) -> Camera:

@@ -147,8 +147,8 @@ def find_object(
 
 def _support(plane: Plane, frame: Box) -> Support:
     """A plane of the cube's frame, whose axes are the world's, in world frame."""
-    (x, y, z), on = plane.normal.tolist(), frame.to_world(torch.from_numpy(plane.point[None])).numpy()[0]
-    return Support(normal=(x, y, z), offset=float(plane.normal @ on))
+    x, y, z = plane.normal.tolist()
+    return Support(normal=(x, y, z), offset=float(plane.normal @ frame.to_world(torch.from_numpy(plane.point)).numpy()))
 
 
 def _up(planes: Sequence[Plane], views: Sequence[View]) -> tuple[float, float, float] | None:

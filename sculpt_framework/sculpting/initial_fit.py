@@ -40,8 +40,8 @@ def fit_to_views(
     device: torch.device,
     come_by: Callable[[SdfFunction], None],
 ) -> float:
-    """Fit the field to what the initializer makes of the views, in world frame, and what of it lies before the
-    ``supports``; returns as ``fit_field``.
+    """Fit the field to what the initializer makes of the views, as far as it lies before the ``supports``; returns as
+    ``fit_field``. Views, box and supports are in world frame.
 
     ``detail`` is the size of the first stage's cells in object units, which the field is told.
     ``come_by`` is shown what the initializer makes, as it makes it. Raises DataError if no start can be made from the

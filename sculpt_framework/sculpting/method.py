@@ -51,7 +51,7 @@ class Sculpting(Reconstructor):
         self._generator = torch.Generator().manual_seed(config.seed)
         parts = assembly.build_parts(config, scene.box, self._generator, host.processes)
         self.trainer = parts.trainer
-        self.trainer.bound = lambda shape: before_supports(shape, scene.supports, scene.box)
+        self.trainer.signed_distance = before_supports(self.trainer.signed_distance, scene.supports, scene.box)
         self._rates = Rates(config.trainer, timed=host.timed)
         self.images: list[TrainingImage] = []
         """What the present stage learns from."""

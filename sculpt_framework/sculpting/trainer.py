@@ -112,8 +112,8 @@ class BiLevelTrainer:
         self.extraction: Extraction | None = None
         self.inner_total = 0
         self.frozen: list[FrozenField] = []
-        self.bound: Callable[[SdfFunction], SdfFunction] = lambda shape: shape
-        """Of what the field says, what can be the object."""
+        self.signed_distance: SdfFunction = self._free_distance
+        """What is extracted: what the field says, within what bounds the object."""
         self.ignored: list[Box] = []
         """Where images teach nothing about the surface."""
         self.surface_rate = 1.0
@@ -294,11 +294,8 @@ class BiLevelTrainer:
             _, binding = self.inner_loop(surface, images, min(chunk, steps - done), 1.0, binding)
         return binding
 
-    def signed_distance(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
-        def free(at: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
-            return signed_distance(self.field, self.frozen, at, margin=2 * self.extractor.grid.cell)
-
-        return self.bound(free)(points)
+    def _free_distance(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
+        return signed_distance(self.field, self.frozen, points, margin=2 * self.extractor.grid.cell)
 
     def _compare(
         self,

@@ -1,6 +1,8 @@
 """A client of the viewer's page without a browser: speaks viser's WebSocket protocol, draws nothing."""
 
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import msgspec
@@ -96,6 +98,15 @@ def set_control(client: Connection, uuid: str, value: object) -> None:
     The client has to stay open until that shows: the server may forget what one that closes has just asked for.
     """
     send(client, messages.GuiUpdateMessage(uuid=uuid, updates={"value": value}))
+
+
+@contextmanager
+def given(address: str, kind: str, label: str, value: object) -> Iterator[None]:
+    """A browser that has just been opened gives the control of that label this value; it is closed in the end."""
+    with connected(address) as client:
+        announce(client)
+        set_control(client, find_control(client, kind, label), value)
+        yield
 
 
 def _as_bytes(data: str | bytes) -> bytes:

@@ -24,7 +24,7 @@ from sculpt_framework.commands import (
 )
 from sculpt_framework.engine.run import run
 from sculpt_framework.errors import ConfigError, DataError
-from sculpt_framework.testing.viewer_client import announce, connected, find_control, received, send, set_control
+from sculpt_framework.testing.viewer_client import announce, connected, given, received, send
 from sculpt_framework.types import Scene
 from sculpt_framework.viewing.address import check_address
 from sculpt_framework.viewing.frames import FOLDER, LIVE, step_files, write_frame
@@ -167,9 +167,7 @@ def press(show: Show, label: str) -> None:
 
 def change(show: Show, kind: str, label: str, value: object) -> None:
     """Give the control of this kind and label a value as a browser does."""
-    with connected(address(show)) as client:
-        announce(client)
-        set_control(client, find_control(client, kind, label), value)
+    with given(address(show), kind, label, value):
         time.sleep(0.3)
 
 

@@ -1,41 +1,31 @@
 """A run steered by a client of its page, and the same done again by ``--replay``."""
 
 import subprocess
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
-from sculpt_framework.testing.viewer_client import announce, connected, find_control, set_control
+from sculpt_framework.testing.viewer_client import given
 
 from .training import STEPS, Run, train_words
 
 pytestmark = pytest.mark.slow
 
 
-@contextmanager
-def given(run: Run, kind: str, label: str, value: object) -> Iterator[None]:
-    """As a browser does that has just been opened; it is closed in the end."""
-    with connected(run.address) as client:
-        announce(client)
-        set_control(client, find_control(client, kind, label), value)
-        yield
-
-
 def test_a_steered_run_is_done_again_without_a_browser(tmp_path: Path):
     run = Run(tmp_path, 7034)
     try:
         run.wait_for_steps(1)
-        with given(run, "GuiSliderMessage", "Of the surface, times", 2.0):
+        with given(run.address, "GuiSliderMessage", "Of the surface, times", 2.0):
             run.wait_for_command(do="set-rate", part="surface", factor=2.0)
-        with given(run, "GuiNumberMessage", "silhouette", 3.0):
+        with given(run.address, "GuiNumberMessage", "silhouette", 3.0):
             run.wait_for_command(do="set-weight", name="silhouette", weight=3.0)
         # The second button is shown once the box stands.
-        with given(run, "GuiButtonMessage", "Place a box", True), given(run, "GuiButtonMessage", "Refine here", True):
+        box, refine = (given(run.address, "GuiButtonMessage", label, True) for label in ("Place a box", "Refine here"))
+        with box, refine:
             run.wait_for_command(do="add-box", kind="refine")
         run.wait_for_steps(2)
-        with given(run, "GuiButtonMessage", "Stop and save", True):
+        with given(run.address, "GuiButtonMessage", "Stop and save", True):
             code = run.process.wait(timeout=120)
         assert code == 0, run.log.read_text(encoding="utf-8")
     finally:

@@ -5,7 +5,7 @@
     python docs/make_captures.py museum_head lab_house DIR
     python docs/make_captures.py lab DIR --mesh FILE
 
-writes DIR/KIND_OBJECT, for a kind or ``all`` with both of its objects or the mesh of a file, which is moved and scaled
+writes DIR/KIND_OBJECT, for a kind or ``all`` with all of its objects or the mesh of a file, which is moved and scaled
 into the unit ball; its z axis points up. An image that is there is not rendered again. Kinds:
 
 - lab: an arm with a camera goes over a part of a sphere, the borders cut the object, the arm's shadow moves with the
@@ -31,11 +31,22 @@ from pathlib import Path
 import numpy as np
 import trimesh
 from blender_captures import carvings, developing, house, printed, rigs
-from blender_captures.parts import Piece, standing
+from blender_captures.parts import Piece, standing, united
 from blender_captures.printed_board import board_below, true_frame
+from make_blender_scenes import MATERIALS, bulldozer
 
 from sculpt_framework.export.atomic import write_atomically
 from sculpt_framework.frame import write_frame
+
+
+def toy() -> list[Piece]:
+    """The bulldozer of ``make_blender_scenes.py``, on a plate with studs that all look alike."""
+    parts = bulldozer()
+    pieces = []
+    for name in dict.fromkeys(material for _, material in parts):
+        mesh = united([part for part, material in parts if material == name])
+        pieces.append(Piece(mesh=mesh, paint="scanned", tint=np.tile(MATERIALS[name][0], (len(mesh.vertices), 1))))
+    return pieces
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +68,7 @@ KINDS = {
     "phone": Kind(
         room="phone",
         rig=rigs.phone,
-        objects={"relief": carvings.relief, "box": printed.box_and_mug},
+        objects={"relief": carvings.relief, "box": printed.box_and_mug, "bulldozer": toy},
         pose_error=0.4,
     ),
     "board": Kind(room="phone", rig=rigs.phone, objects={"box": printed.box_and_mug}, board=True),

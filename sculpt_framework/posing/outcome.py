@@ -49,12 +49,16 @@ class Outcome:
             )
         for reason, number in Counter(self.left_out.values()).most_common():
             names = [name for name, why in self.left_out.items() if why == reason]
-            listed = ", ".join(names[:_NAMED]) + (", ..." if number > _NAMED else "")
-            out.append(f"left out   {number}: {reason} ({listed})")
+            out.append(f"left out   {number}: {reason} ({listed(names)})")
         return [*out, f"seconds    {self.seconds:.0f}", f"scene      {folder}"]
 
     def to_json(self) -> str:
         return json.dumps(asdict(self), indent=1) + "\n"
+
+
+def listed(names: Sequence[str]) -> str:
+    """The first of them."""
+    return ", ".join(names[:_NAMED]) + (", ..." if len(names) > _NAMED else "")
 
 
 def read_outcome(folder: Path) -> Outcome:

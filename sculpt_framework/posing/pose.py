@@ -18,11 +18,12 @@ from sculpt_framework.posed_images.heic import CONVERSIONS, converted
 from sculpt_framework.posed_images.masks import read_mask
 from sculpt_framework.posing import colmap
 from sculpt_framework.posing.announcer import Announcer
+from sculpt_framework.posing.explained import best_explained, explained
 from sculpt_framework.posing.joining import join
 from sculpt_framework.posing.lenses import Sorted, sort_by_lens
 from sculpt_framework.posing.likely_pairs import PARTNERS, likely_pairs
 from sculpt_framework.posing.options import PosingOptions
-from sculpt_framework.posing.outcome import NAME, Outcome, nothing_placed, read_outcome, reasons
+from sculpt_framework.posing.outcome import NAME, Outcome, listed, nothing_placed, read_outcome, reasons
 from sculpt_framework.posing.pairs import EXHAUSTIVE_UP_TO, choose_pairs
 from sculpt_framework.posing.picture import draw_posing
 from sculpt_framework.posing.source import CONVERTED, FEWEST, Photographs, find_photographs, fingerprint, is_video
@@ -40,6 +41,12 @@ _STRAIGHT = (
     "the distortion of the lens cannot be told from these photographs; it is taken to be straight, and the cameras may "
     "be wrong. Photographs nearer to the object tell more, or whole ones (--ignore-masks) where the surroundings do "
     "not move against it."
+)
+_CONTRADICTED = 0.25
+"""Share of its matches below which a photograph is named: right cameras explain more, even where parts repeat."""
+_WRONG = (
+    "the cameras of {} explain less than a quarter of their matches and may be wrong: parts that repeat, such as "
+    "studs, tiles or windows, look like each other. Photographs in between tell them apart."
 )
 _STANDING = (
     "{} of {} features are left out: they stand still while the object turns in front of the camera (background, "
@@ -135,13 +142,16 @@ def _carry_out(at_work: _Posing, found: Photographs | None) -> Outcome:
     at_work.keep(at_work.state)
     if masks is None and at_work.state.standing is None:
         at_work.keep(replace(at_work.state, standing=colmap.leave_out_standing(database, names)))
-    for name in ("models", "all", "straight"):
+    for name in ("models", "all", "straight", "together"):
         shutil.rmtree(work / name, ignore_errors=True)
     pieces, compared = _placed_together(at_work, sorted(names, key=lenses.names.__getitem__), in_order=found is None)
     straight = bool(pieces) and colmap.diverged(pieces[0])
     if straight:
         again = at_work.tell("placing cameras again, with a straight lens")
         pieces = colmap.map_images(database, images, work / "straight", options, again, straight=True)
+    elif pieces:
+        together = at_work.tell("placing cameras all at once")
+        pieces = best_explained(pieces, database, images, work / "together", options, together)
     models = join(pieces, database, images, work / "joined", straight=straight)
     seen = colmap.matched(database)
     if not models:
@@ -155,6 +165,9 @@ def _carry_out(at_work: _Posing, found: Photographs | None) -> Outcome:
         notes = (*notes, _STANDING.format(*at_work.state.standing))
     if straight:
         notes = (*notes, _STRAIGHT)
+    doubtful = [name for name in explained(model, database).below(_CONTRADICTED) if name not in left_out]
+    if doubtful:
+        notes = (*notes, _WRONG.format(listed([lenses.names[name] for name in doubtful])))
     if len(models) < len(pieces):
         notes = (*notes, f"{len(pieces)} pieces, of which {len(pieces) - len(models) + 1} are laid over each other.")
     outcome = Outcome(

@@ -4,33 +4,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from textured_box import photographs, save
+from mapped_box import mapped_box
 
 from sculpt_framework.posing import colmap
 from sculpt_framework.posing.joining import join
-from sculpt_framework.posing.options import PosingOptions
 
 pycolmap = pytest.importorskip("pycolmap")
 
 
-def ignore(done: int, total: int) -> None:
-    pass
-
-
 @pytest.mark.slow
 def test_pieces_that_share_photographs_are_laid_over_each_other(tmp_path: Path):
-    shots = photographs(tuple(range(0, 80, 10)))
-    names = []
-    for index, name in enumerate(save(shots, tmp_path / "images" / "0")):
-        names.append(f"0/{index}.jpg")  # A list of pairs cannot have spaces in names.
-        (tmp_path / "images" / "0" / name).rename(tmp_path / "images" / names[-1])
-    database, images, options = tmp_path / "database.db", tmp_path / "images", PosingOptions(threads=1)
-    colmap.require_pycolmap()
-    colmap.extract(database, images, names, None, options, ignore)
-    pairs = [(first, second) for index, first in enumerate(names) for second in names[index + 1 :]]
-    colmap.match(database, pairs, options, ignore)
-    (whole,) = colmap.map_images(database, images, tmp_path / "models", options, ignore)
-    assert whole.num_reg_images() == len(names)
+    box = mapped_box(tmp_path)
+    names, database, images, whole = box.names, box.database, box.images, box.model
 
     def piece(without: list[str]):
         made = pycolmap.Reconstruction(whole)

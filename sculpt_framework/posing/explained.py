@@ -1,0 +1,116 @@
+"""How many of the matches between photographs their cameras explain, and the model that explains most."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float64
+
+from sculpt_framework.posing import colmap
+from sculpt_framework.posing.options import PosingOptions
+
+if TYPE_CHECKING:
+    import pycolmap
+
+WITHIN_PX = 2.0
+"""Of the epipolar line, in the first order (Sampson): what features are apart by when their cameras are right."""
+_FEWEST = 15
+"""Matches of a pair that counts."""
+_DOUBTFUL = 0.5
+"""Of the matches of a photograph: a camera that explains a smaller share is not believed without a second opinion."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Explained:
+    """Of each photograph, by its name in the database: its verified matches with others, and those of them that the
+    model's cameras explain. A match with a photograph that has no camera is not explained."""
+
+    matches: Mapping[str, int]
+    explained: Mapping[str, int]
+
+    @property
+    def total(self) -> int:
+        return sum(self.explained.values()) // 2
+
+    def below(self, share: float) -> list[str]:
+        """Photographs with a camera that explains less than this share of their matches, and those without one."""
+        return [name for name, count in self.matches.items() if count and self.explained[name] < share * count]
+
+
+def best_explained(
+    pieces: "Sequence[pycolmap.Reconstruction]",
+    database: Path,
+    images: Path,
+    work: Path,
+    options: PosingOptions,
+    tell: colmap.Tell,
+) -> "list[pycolmap.Reconstruction]":
+    """The pieces, or in place of the first a model of all cameras at once, if it explains more matches.
+
+    It is made where some photograph's camera is doubtful: where parts of the object repeat, incremental mapping may go
+    on from a wrong camera. ``work`` is a folder for intermediate files.
+    """
+    known = explained(pieces[0], database)
+    if not known.below(_DOUBTFUL):
+        return list(pieces)
+    other = colmap.map_all_at_once(pieces[0], database, images, work, options, tell)
+    if other is None or other.num_reg_images() < pieces[0].num_reg_images() or colmap.diverged(other):
+        return list(pieces)
+    if explained(other, database).total <= known.total:
+        return list(pieces)
+    placed = colmap.world_to_cameras(other).keys()
+    return [other, *(piece for piece in pieces[1:] if colmap.world_to_cameras(piece).keys() - placed)]
+
+
+def explained(model: "pycolmap.Reconstruction", database: Path) -> Explained:
+    import pycolmap
+
+    opened = pycolmap.Database.open(database)
+    names = {image.image_id: image.name for image in opened.read_all_images()}
+    placed = {image.name: image for image in model.images.values() if image.has_pose}
+    poses = {number: placed[name].cam_from_world().matrix() for number, name in names.items() if name in placed}
+    lenses = {number: model.cameras[placed[names[number]].camera_id] for number in poses}
+    rays = {number: _rays(lens, opened.read_keypoints(number)) for number, lens in lenses.items()}
+    matches, held = dict.fromkeys(names.values(), 0), dict.fromkeys(names.values(), 0)
+    pairs, counts = opened.read_two_view_geometry_num_inliers()
+    for pair, count in zip(pairs, counts, strict=True):
+        if count < _FEWEST:
+            continue
+        first, second = pycolmap.pair_id_to_image_pair(pair)
+        right = 0
+        if first in poses and second in poses:
+            these, those = np.asarray(opened.read_two_view_geometry(first, second).inlier_matches).T
+            focal = 0.5 * (lenses[first].mean_focal_length() + lenses[second].mean_focal_length())
+            apart = epipolar_errors(rays[first][these], rays[second][those], poses[first], poses[second])
+            right = int((focal * apart < WITHIN_PX).sum())
+        for number in (first, second):
+            matches[names[number]] += int(count)
+            held[names[number]] += right
+    opened.close()
+    return Explained(matches=matches, explained=held)
+
+
+def epipolar_errors(
+    first: Float64[np.ndarray, "n 2"],
+    second: Float64[np.ndarray, "n 2"],
+    first_pose: Float64[np.ndarray, "3 4"],
+    second_pose: Float64[np.ndarray, "3 4"],
+) -> Float64[np.ndarray, " n"]:
+    """Sampson's distance of pairs of image points at depth 1, for world-to-camera poses; not a number where cameras
+    stand in one place, which says nothing about their points."""
+    turn = second_pose[:, :3] @ first_pose[:, :3].T
+    x, y, z = second_pose[:, 3] - turn @ first_pose[:, 3]
+    essential = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]) @ turn
+    ones = np.ones((len(first), 1))
+    here, there = np.hstack([first, ones]), np.hstack([second, ones])
+    lines, back = here @ essential.T, there @ essential
+    slope = np.square(np.hstack([lines[:, :2], back[:, :2]])).sum(axis=1)
+    with np.errstate(invalid="ignore"):
+        return np.abs((there * lines).sum(axis=1)) / np.sqrt(slope)
+
+
+def _rays(lens: "pycolmap.Camera", keypoints: np.ndarray) -> Float64[np.ndarray, "n 2"]:
+    """Image points at depth 1, without the lens's distortion."""
+    return np.asarray(lens.cam_from_img(np.asarray(keypoints, np.float64)[:, :2]), np.float64).reshape(-1, 2)

@@ -225,38 +225,12 @@ def map_images(
     return best
 
 
-def map_all_at_once(
-    lenses: "pycolmap.Reconstruction", database: Path, images: Path, folder: Path, options: PosingOptions, tell: Tell
+def grown(
+    begun: "pycolmap.Reconstruction", database: Path, images: Path, folder: Path, options: PosingOptions, tell: Tell
 ) -> "pycolmap.Reconstruction | None":
-    """Mapping from the relative poses of all pairs together (Pan et al. 2024), with the lenses of a model; None:
-    nothing could be placed.
-
-    One wrong pair, as of parts that repeat, is outvoted by the others, where incremental mapping goes on from it. But
-    relative poses are wrong without known lenses. The model is finished as incremental mapping does, which also adds
-    what was left out.
-    """
-    import pycolmap
-
-    folder.mkdir(parents=True)
-    copied = folder / "database.db"
-    shutil.copyfile(database, copied)
-    opened = pycolmap.Database.open(copied)
-    for lens in lenses.cameras.values():
-        known = pycolmap.Camera(lens.todict())
-        known.has_prior_focal_length = True
-        opened.update_camera(known)
-    opened.close()
-    mapping = pycolmap.GlobalPipelineOptions()
-    mapping.num_threads = mapping.mapper.num_threads = 1
-    mapping.random_seed = mapping.mapper.random_seed = options.seed
-    models = pycolmap.global_mapping(copied, images, folder / "global", mapping)
-    copied.unlink()
-    if not models:
-        return None
-    largest = max(models.values(), key=lambda model: model.num_reg_images())
-    count = len(matched(database).features)
-    finish = _mapping(options, _FEWEST_MATCHES, straight=False)
-    pieces = _map(database, images, folder / "finished", finish, largest, count, tell)
+    """The model with the images that it lacks, by all pairs, and adjusted; None: nothing of it holds together."""
+    mapping = _mapping(options, _FEWEST_MATCHES, straight=False)
+    pieces = _map(database, images, folder, mapping, begun, len(matched(database).features), tell)
     return pieces[0] if pieces else None
 
 

@@ -1,15 +1,12 @@
-"""How many of the matches between photographs their cameras explain, and the model that explains most."""
+"""How many of the matches between photographs their cameras explain."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float64
-
-from sculpt_framework.posing import colmap
-from sculpt_framework.posing.options import PosingOptions
 
 if TYPE_CHECKING:
     import pycolmap
@@ -18,8 +15,6 @@ WITHIN_PX = 2.0
 """Of the epipolar line, in the first order (Sampson): what features are apart by when their cameras are right."""
 _FEWEST = 15
 """Matches of a pair that counts."""
-_DOUBTFUL = 0.5
-"""Of the matches of a photograph: a camera that explains a smaller share is not believed without a second opinion."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,31 +32,6 @@ class Explained:
     def below(self, share: float) -> list[str]:
         """Photographs with a camera that explains less than this share of their matches, and those without one."""
         return [name for name, count in self.matches.items() if count and self.explained[name] < share * count]
-
-
-def best_explained(
-    pieces: "Sequence[pycolmap.Reconstruction]",
-    database: Path,
-    images: Path,
-    work: Path,
-    options: PosingOptions,
-    tell: colmap.Tell,
-) -> "list[pycolmap.Reconstruction]":
-    """The pieces, or in place of the first a model of all cameras at once, if it explains more matches.
-
-    It is made where some photograph's camera is doubtful: where parts of the object repeat, incremental mapping may go
-    on from a wrong camera. ``work`` is a folder for intermediate files.
-    """
-    known = explained(pieces[0], database)
-    if not known.below(_DOUBTFUL):
-        return list(pieces)
-    other = colmap.map_all_at_once(pieces[0], database, images, work, options, tell)
-    if other is None or other.num_reg_images() < pieces[0].num_reg_images() or colmap.diverged(other):
-        return list(pieces)
-    if explained(other, database).total <= known.total:
-        return list(pieces)
-    placed = colmap.world_to_cameras(other).keys()
-    return [other, *(piece for piece in pieces[1:] if colmap.world_to_cameras(piece).keys() - placed)]
 
 
 def explained(model: "pycolmap.Reconstruction", database: Path) -> Explained:

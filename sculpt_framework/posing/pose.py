@@ -18,7 +18,7 @@ from sculpt_framework.posed_images.heic import CONVERSIONS, converted
 from sculpt_framework.posed_images.masks import read_mask
 from sculpt_framework.posing import colmap
 from sculpt_framework.posing.announcer import Announcer
-from sculpt_framework.posing.explained import best_explained, explained
+from sculpt_framework.posing.explained import explained
 from sculpt_framework.posing.joining import join
 from sculpt_framework.posing.lenses import Sorted, sort_by_lens
 from sculpt_framework.posing.likely_pairs import PARTNERS, likely_pairs
@@ -26,6 +26,7 @@ from sculpt_framework.posing.options import PosingOptions
 from sculpt_framework.posing.outcome import NAME, Outcome, listed, nothing_placed, read_outcome, reasons
 from sculpt_framework.posing.pairs import EXHAUSTIVE_UP_TO, choose_pairs
 from sculpt_framework.posing.picture import draw_posing
+from sculpt_framework.posing.second_opinion import best_explained
 from sculpt_framework.posing.source import CONVERTED, FEWEST, Photographs, find_photographs, fingerprint, is_video
 from sculpt_framework.posing.upright import upright_frame
 from sculpt_framework.posing.video import choose_frames, look_through, write_frames
@@ -142,7 +143,7 @@ def _carry_out(at_work: _Posing, found: Photographs | None) -> Outcome:
     at_work.keep(at_work.state)
     if masks is None and at_work.state.standing is None:
         at_work.keep(replace(at_work.state, standing=colmap.leave_out_standing(database, names)))
-    for name in ("models", "all", "straight", "together"):
+    for name in ("models", "all", "straight", "again"):
         shutil.rmtree(work / name, ignore_errors=True)
     pieces, compared = _placed_together(at_work, sorted(names, key=lenses.names.__getitem__), in_order=found is None)
     straight = bool(pieces) and colmap.diverged(pieces[0])
@@ -150,8 +151,8 @@ def _carry_out(at_work: _Posing, found: Photographs | None) -> Outcome:
         again = at_work.tell("placing cameras again, with a straight lens")
         pieces = colmap.map_images(database, images, work / "straight", options, again, straight=True)
     elif pieces:
-        together = at_work.tell("placing cameras all at once")
-        pieces = best_explained(pieces, database, images, work / "together", options, together)
+        again = at_work.tell("placing doubtful cameras again")
+        pieces = best_explained(pieces, database, images, work / "again", options, again)
     models = join(pieces, database, images, work / "joined", straight=straight)
     seen = colmap.matched(database)
     if not models:

@@ -69,15 +69,16 @@ def _settled(
     """The model with its doubtful photographs placed again, as long as that explains more, and what it explains."""
     for number in range(_ROUNDS):
         rest = _without(model, count.below(_DOUBTFUL))
-        if rest.num_reg_images() in range(_FEWEST, model.num_reg_images()):
-            folder = mapping.work / f"{name} {number}"
-            again = colmap.grown(rest, mapping.database, mapping.images, folder, mapping.options, mapping.tell)
-            if again is not None and again.num_reg_images() >= model.num_reg_images():
-                counted = explained(again, mapping.database)
-                if counted.total > count.total:
-                    model, count = again, counted
-                    continue
-        break
+        if not _FEWEST <= rest.num_reg_images() < model.num_reg_images():
+            break
+        folder = mapping.work / f"{name} {number}"
+        again = colmap.grown(rest, mapping.database, mapping.images, folder, mapping.options, mapping.tell)
+        if again is None or again.num_reg_images() < model.num_reg_images():
+            break
+        counted = explained(again, mapping.database)
+        if counted.total <= count.total:
+            break
+        model, count = again, counted
     return model, count
 
 

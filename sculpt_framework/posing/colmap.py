@@ -29,12 +29,12 @@ Tell = Callable[[int, int], None]
 _PAIRS_AT_ONCE = 50
 _MOST_TRIALS = 2000
 """Of RANSAC: finds a pair whose matches are right by a third. COLMAP's 10000 mostly go to hopeless ones."""
-_SMALLEST_MODEL = 3
+SMALLEST_MODEL = 3
 _MOST_MODELS = 10
 _SHARES, _ALWAYS = (0.5, 0.25, 0.12, 0.0), 2
 """Of the matches that an image usually has with its best partner: pairs with at least so many are used, in stages. The
 first two close rings; the others are for images that are not placed by then."""
-_FEWEST_MATCHES = 15
+FEWEST_MATCHES = 15
 """Of a pair that is used at all."""
 _LENS = "SIMPLE_RADIAL"
 """A focal length and one coefficient of distortion: what a ring of views determines."""
@@ -60,7 +60,7 @@ class Matched:
     def fewest(self, share: float = _SHARES[_ALWAYS - 1]) -> int:
         """Matches of a pair that has at least such a share of what is usual for best partners."""
         usual = np.median([most for most in self.best.values() if most] or [0])
-        return max(_FEWEST_MATCHES, round(share * float(usual)))
+        return max(FEWEST_MATCHES, round(share * float(usual)))
 
 
 def require_pycolmap(
@@ -229,9 +229,21 @@ def grown(
     begun: "pycolmap.Reconstruction", database: Path, images: Path, folder: Path, options: PosingOptions, tell: Tell
 ) -> "pycolmap.Reconstruction | None":
     """The model with the images that it lacks, by all pairs, and adjusted; None: nothing of it holds together."""
-    mapping = _mapping(options, _FEWEST_MATCHES, straight=False)
+    mapping = _mapping(options, FEWEST_MATCHES, straight=False)
     pieces = _map(database, images, folder, mapping, begun, len(matched(database).features), tell)
     return pieces[0] if pieces else None
+
+
+def without(model: "pycolmap.Reconstruction", names: Sequence[str]) -> "pycolmap.Reconstruction":
+    """A copy, as mapping would leave it without these images: photographs without a camera are not in it."""
+    import pycolmap
+
+    rest = pycolmap.Reconstruction(model)
+    for image in list(rest.images.values()):
+        if image.name in names:
+            rest.deregister_frame(image.frame_id)
+    rest.tear_down()
+    return rest
 
 
 def _placed(pieces: "Sequence[pycolmap.Reconstruction]") -> int:
@@ -247,7 +259,7 @@ def _mapping(options: PosingOptions, fewest: int, *, straight: bool) -> "pycolma
     # With more threads the same matches give one of several models, from run to run.
     mapping.num_threads = mapping.mapper.num_threads = 1
     mapping.min_num_matches = fewest
-    mapping.min_model_size = _SMALLEST_MODEL
+    mapping.min_model_size = SMALLEST_MODEL
     mapping.max_num_models = _MOST_MODELS
     if straight:
         mapping.ba_refine_extra_params = mapping.mapper.abs_pose_refine_extra_params = False
@@ -295,7 +307,7 @@ def _map(
     pieces = []
     for model in in_order:
         own = world_to_cameras(model).keys() - seen
-        if own and model.num_reg_images() >= _SMALLEST_MODEL:
+        if own and model.num_reg_images() >= SMALLEST_MODEL:
             pieces.append(model)
             seen |= own
     return pieces

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float64
 
+from sculpt_framework.posing.colmap import FEWEST_MATCHES
+
 if TYPE_CHECKING:
     import pycolmap
 
-WITHIN_PX = 2.0
+_WITHIN_PX = 2.0
 """Of the epipolar line, in the first order (Sampson): what features are apart by when their cameras are right."""
-_FEWEST = 15
-"""Matches of a pair that counts."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,22 +39,22 @@ def explained(model: "pycolmap.Reconstruction", database: Path) -> Explained:
 
     opened = pycolmap.Database.open(database)
     names = {image.image_id: image.name for image in opened.read_all_images()}
-    placed = {image.name: image for image in model.images.values() if image.has_pose}
-    poses = {number: placed[name].cam_from_world().matrix() for number, name in names.items() if name in placed}
-    lenses = {number: model.cameras[placed[names[number]].camera_id] for number in poses}
+    placed = {number: image for number, image in model.images.items() if image.has_pose}
+    poses = {number: image.cam_from_world().matrix() for number, image in placed.items()}
+    lenses = {number: model.cameras[image.camera_id] for number, image in placed.items()}
     rays = {number: _rays(lens, opened.read_keypoints(number)) for number, lens in lenses.items()}
     matches, held = dict.fromkeys(names.values(), 0), dict.fromkeys(names.values(), 0)
     pairs, counts = opened.read_two_view_geometry_num_inliers()
     for pair, count in zip(pairs, counts, strict=True):
-        if count < _FEWEST:
+        if count < FEWEST_MATCHES:
             continue
         first, second = pycolmap.pair_id_to_image_pair(pair)
         right = 0
-        if first in poses and second in poses:
+        if first in placed and second in placed:
             these, those = np.asarray(opened.read_two_view_geometry(first, second).inlier_matches).T
             focal = 0.5 * (lenses[first].mean_focal_length() + lenses[second].mean_focal_length())
             apart = epipolar_errors(rays[first][these], rays[second][those], poses[first], poses[second])
-            right = int((focal * apart < WITHIN_PX).sum())
+            right = int((focal * apart < _WITHIN_PX).sum())
         for number in (first, second):
             matches[names[number]] += int(count)
             held[names[number]] += right

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 _DOUBTFUL = 0.5
 """Of the matches of a photograph: a camera that explains a smaller share is not believed without a second opinion."""
 _ROUNDS = 3
-_FEWEST = 3
-"""Photographs that others are placed by."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,8 +66,8 @@ def _settled(
 ) -> "tuple[pycolmap.Reconstruction, Explained]":
     """The model with its doubtful photographs placed again, as long as that explains more, and what it explains."""
     for number in range(_ROUNDS):
-        rest = _without(model, count.below(_DOUBTFUL))
-        if not _FEWEST <= rest.num_reg_images() < model.num_reg_images():
+        rest = colmap.without(model, count.below(_DOUBTFUL))
+        if not colmap.SMALLEST_MODEL <= rest.num_reg_images() < model.num_reg_images():
             break
         folder = mapping.work / f"{name} {number}"
         again = colmap.grown(rest, mapping.database, mapping.images, folder, mapping.options, mapping.tell)
@@ -80,17 +78,6 @@ def _settled(
             break
         model, count = again, counted
     return model, count
-
-
-def _without(model: "pycolmap.Reconstruction", names: Sequence[str]) -> "pycolmap.Reconstruction":
-    import pycolmap
-
-    rest = pycolmap.Reconstruction(model)
-    for image in list(rest.images.values()):
-        if image.name in names:
-            rest.deregister_frame(image.frame_id)
-    rest.tear_down()  # As mapping leaves it: photographs without a camera are not in it.
-    return rest
 
 
 def _all_at_once(lenses: "pycolmap.Reconstruction", mapping: _Mapping) -> "pycolmap.Reconstruction | None":

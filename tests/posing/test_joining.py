@@ -17,15 +17,7 @@ def test_pieces_that_share_photographs_are_laid_over_each_other(tmp_path: Path):
     box = mapped_box(tmp_path)
     names, database, images, whole = box.names, box.database, box.images, box.model
 
-    def piece(without: list[str]):
-        made = pycolmap.Reconstruction(whole)
-        for image in list(made.images.values()):
-            if image.name in without:
-                made.deregister_frame(image.frame_id)
-        made.tear_down()  # As mapping leaves it: photographs without a camera are not in it.
-        return made
-
-    first, second, third = piece(names[6:]), piece(names[:2]), piece(names[1:])
+    first, second, third = (colmap.without(whole, these) for these in (names[6:], names[:2], names[1:]))
     turned = pycolmap.Rotation3d(np.array([0.1, 0.2, 0.3, 0.9]) / np.linalg.norm([0.1, 0.2, 0.3, 0.9]))
     second.transform(pycolmap.Sim3d(2.0, turned, np.array([1.0, 2.0, 3.0])))
     third.delete_all_points2D_and_points3D()  # Nothing to lay it by.

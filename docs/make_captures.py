@@ -30,7 +30,7 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from blender_captures import carvings, developing, house, printed, rigs
+from blender_captures import carvings, developing, house, pottery, printed, rigs
 from blender_captures.parts import Piece, standing, united
 from blender_captures.printed_board import board_below, true_frame
 from make_blender_scenes import MATERIALS, bulldozer
@@ -68,7 +68,7 @@ KINDS = {
     "phone": Kind(
         room="phone",
         rig=rigs.phone,
-        objects={"relief": carvings.relief, "box": printed.box_and_mug, "bulldozer": toy},
+        objects={"relief": carvings.relief, "box": printed.box_and_mug, "bulldozer": toy, "jug": pottery.jug},
         pose_error=0.4,
     ),
     "board": Kind(room="phone", rig=rigs.phone, objects={"box": printed.box_and_mug}, board=True),

@@ -8,6 +8,7 @@ import trimesh
 from jaxtyping import Float64
 from numpy.typing import ArrayLike
 from trimesh.creation import box, cylinder
+from trimesh.visual import TextureVisuals
 
 CRUMB = 1e-4
 
@@ -46,15 +47,64 @@ def disc(
     return at(cylinder(radius=radius, height=height, sections=sections), place, turn)
 
 
+def revolved(profile: Float64[np.ndarray, "n 2"], sections: int) -> trimesh.Trimesh:
+    """A profile of radii and heights turned about z; from the middle below, up outside, and down inside, it is closed.
+
+    Texture coordinates: the share of the turn, and the height for the outside only.
+    """
+    rows = len(profile)
+    turn = np.linspace(0, 2 * np.pi, sections + 1)
+    x, y = profile[:, 0, None] * np.cos(turn), profile[:, 0, None] * np.sin(turn)
+    # The last column lies on the first to the bit.
+    x[:, -1], y[:, -1] = x[:, 0], y[:, 0]
+    vertices = np.stack([x, y, np.broadcast_to(profile[:, 1, None], x.shape)], axis=2).reshape(-1, 3)
+    top = int(profile[:, 1].argmax())
+    height = np.where(np.arange(rows) <= top, profile[:, 1] / profile[:, 1].max(), 0.999)
+    uv = np.stack(np.broadcast_arrays(turn / (2 * np.pi), height[:, None]), axis=2).reshape(-1, 2)
+    i, j = np.meshgrid(np.arange(rows - 1), np.arange(sections), indexing="ij")
+    a = (i * (sections + 1) + j).ravel()
+    b, c, d = a + 1, a + sections + 2, a + sections + 1
+    mesh = trimesh.Trimesh(vertices, np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]), process=False)
+    mesh.visual = TextureVisuals(uv=uv)
+    return mesh
+
+
+def bow(radii: Sequence[float], thickness: Sequence[float], reach: float) -> trimesh.Trimesh:
+    """Two thirds of a ring in the plane of x and z around (``reach``, 0, 0), open toward the z axis: a handle.
+
+    ``radii`` along x and z; ``thickness``: half of it, away from the middle and along y.
+    """
+    turn = np.linspace(-2.0, 2.0, 60)
+    middle = np.stack([reach + radii[0] * np.cos(turn), np.zeros(60), radii[1] * np.sin(turn)], axis=1)
+    around = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    away = np.stack([np.cos(turn), np.zeros(60), np.sin(turn)], axis=1)
+    sideways = np.array([0, 1, 0])
+    ring = thickness[0] * np.cos(around)[:, None] * away[:, None] + thickness[1] * np.sin(around)[:, None] * sideways
+    vertices = (middle[:, None] + ring).reshape(-1, 3)
+    i, j = np.meshgrid(np.arange(59), np.arange(24), indexing="ij")
+    a, b = (i * 24 + j).ravel(), (i * 24 + (j + 1) % 24).ravel()
+    faces = [np.stack([a, b, b + 24], 1), np.stack([a, b + 24, a + 24], 1)]
+    for start in (0, 59 * 24):
+        fan = np.stack([np.full(22, start), start + np.arange(1, 23), start + np.arange(2, 24)], 1)
+        faces.append(fan[:, ::-1] if start == 0 else fan)
+    mesh = trimesh.Trimesh(vertices, np.concatenate(faces), process=False)
+    mesh.fix_normals()
+    return mesh
+
+
 def united(meshes: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
-    """The union of closed surfaces; faces of theirs that point inward are turned round in place."""
-    for mesh in meshes:
-        mesh.merge_vertices()
-        mesh.update_faces(mesh.nondegenerate_faces())
-        mesh.fix_normals()
-        if mesh.volume < 0:
-            mesh.invert()
-    return trimesh.boolean.union(list(meshes), engine="manifold")
+    """The union of closed surfaces, which are ``turned_outward`` in place."""
+    return trimesh.boolean.union([turned_outward(mesh) for mesh in meshes], engine="manifold")
+
+
+def turned_outward(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """A closed surface in place, without what keeps it from being one: doubled vertices, faces that point inward."""
+    mesh.merge_vertices()
+    mesh.update_faces(mesh.nondegenerate_faces())
+    mesh.fix_normals()
+    if mesh.volume < 0:
+        mesh.invert()
+    return mesh
 
 
 def without_crumbs(mesh: trimesh.Trimesh) -> trimesh.Trimesh:

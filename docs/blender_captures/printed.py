@@ -6,7 +6,7 @@ from PIL import Image, ImageDraw, ImageFont
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import SimpleMaterial
 
-from blender_captures.parts import Piece, block
+from blender_captures.parts import Piece, at, block, bow, revolved
 
 WORDS = ("oats", "barley", "honey", "crisp", "whole grain", "500 g", "best before", "see lid", "keep dry", "no sugar")
 
@@ -18,10 +18,10 @@ def box_and_mug() -> list[Piece]:
     carton.apply_transform(trimesh.transformations.euler_matrix(0, 0, 0.35))
     carton.apply_translation([-0.3, 0.22, 0.475])
     carton.visual = TextureVisuals(uv=carton.visual.uv, material=SimpleMaterial(image=_label(chance, 900, 1100)))
-    mug = _revolved(_mug_profile(), 160)
+    mug = revolved(_mug_profile(), 160)
     mug.apply_translation([0.42, -0.2, 0])
     mug.visual = TextureVisuals(uv=mug.visual.uv, material=SimpleMaterial(image=_band(chance, 1600, 600)))
-    handle = _handle([0.42, -0.2, 0.27])
+    handle = at(bow((0.15, 0.17), (0.026, 0.034), reach=0.235), [0.42, -0.2, 0.27], [0, 0, np.degrees(-0.9)])
     coaster = block([0.62, 0.62, 0.03], [0.42, -0.2, -0.012], [0, 0, 12])
     return [
         Piece(mesh=carton, paint="print"),
@@ -60,46 +60,6 @@ def _mug_profile() -> np.ndarray:
     outside = [[0, 0], [0.2, 0], [0.228, 0.012], [0.24, 0.04], *([0.245, z] for z in np.linspace(0.07, 0.54, 24))]
     inside = [*([0.22, z] for z in np.linspace(0.54, 0.06, 24)), [0.2, 0.035], [0.0, 0.03]]
     return np.array([*outside, *lip, *inside])
-
-
-def _revolved(profile: np.ndarray, sections: int) -> trimesh.Trimesh:
-    """Texture coordinates: the share of the turn, and the height for the outside only."""
-    rows = len(profile)
-    turn = np.linspace(0, 2 * np.pi, sections + 1)
-    x, y = profile[:, 0, None] * np.cos(turn), profile[:, 0, None] * np.sin(turn)
-    # The last column lies on the first to the bit.
-    x[:, -1], y[:, -1] = x[:, 0], y[:, 0]
-    vertices = np.stack([x, y, np.broadcast_to(profile[:, 1, None], x.shape)], axis=2).reshape(-1, 3)
-    top = int(profile[:, 1].argmax())
-    height = np.where(np.arange(rows) <= top, profile[:, 1] / profile[:, 1].max(), 0.999)
-    uv = np.stack(np.broadcast_arrays(turn / (2 * np.pi), height[:, None]), axis=2).reshape(-1, 2)
-    i, j = np.meshgrid(np.arange(rows - 1), np.arange(sections), indexing="ij")
-    a = (i * (sections + 1) + j).ravel()
-    b, c, d = a + 1, a + sections + 2, a + sections + 1
-    mesh = trimesh.Trimesh(vertices, np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]), process=False)
-    mesh.visual = TextureVisuals(uv=uv)
-    return mesh
-
-
-def _handle(place: list[float]) -> trimesh.Trimesh:
-    """Two thirds of a ring, whose ends are in the mug's wall."""
-    turn = np.linspace(-2.0, 2.0, 60)
-    middle = np.stack([0.235 + 0.15 * np.cos(turn), np.zeros(60), 0.17 * np.sin(turn)], axis=1)
-    around = np.linspace(0, 2 * np.pi, 24, endpoint=False)
-    away = np.stack([np.cos(turn), np.zeros(60), np.sin(turn)], axis=1)
-    ring = 0.026 * np.cos(around)[:, None] * away[:, None] + 0.034 * np.sin(around)[:, None] * np.array([0, 1, 0])
-    vertices = (middle[:, None] + ring).reshape(-1, 3)
-    i, j = np.meshgrid(np.arange(59), np.arange(24), indexing="ij")
-    a, b = (i * 24 + j).ravel(), (i * 24 + (j + 1) % 24).ravel()
-    faces = [np.stack([a, b, b + 24], 1), np.stack([a, b + 24, a + 24], 1)]
-    for start in (0, 59 * 24):
-        fan = np.stack([np.full(22, start), start + np.arange(1, 23), start + np.arange(2, 24)], 1)
-        faces.append(fan[:, ::-1] if start == 0 else fan)
-    mesh = trimesh.Trimesh(vertices, np.concatenate(faces), process=False)
-    mesh.fix_normals()
-    mesh.apply_transform(trimesh.transformations.euler_matrix(0, 0, -0.9))
-    mesh.apply_translation(place)
-    return mesh
 
 
 def _label(chance: np.random.Generator, width: int, height: int) -> Image.Image:

@@ -41,6 +41,9 @@ those it lies in, for it to be inside of something."""
 _IN_SIGHT = 0.8
 """Without outlines: share of all images in which a place must lie that no view sees, or sees through, to be inside of
 something plain. Beside it, what is behind shows in one image or another, if they are not all from one side."""
+_DEEPER, _MISTAKEN = 6.0, 2
+"""A view sees through a plain place where its depth is so many cells behind it; so many views may be wrong about that.
+On a glazed jug a quarter of the pixels have depths, half of them more than a cell too deep, a tenth more than four."""
 _SOFT_SLOPE, _SOFT_ERROR = 1.0, 0.1
 """Differences between cells, and to what is wanted, that count by their squares; beyond, linearly. In units of
 ``_FRONT``: the slope of a distance is a third."""
@@ -99,6 +102,23 @@ def fuse_without_outlines(
     least = np.where(asked, _LOWEST, np.float32(1))
     wanted, weights, known = _told(space, asked, maps, before, prior)
     return space.holding(_smoothed(wanted, weights, least)), known & (wanted < 1)
+
+
+def dense_cells(space: Volume, maps: DepthMaps, reliable: Bool[np.ndarray, "n h w"]) -> Bool[np.ndarray, "x y z"]:
+    """The cells that lie in four fifths of all images and that at most two views see through: of something plain that
+    stands before what has depths, with views from all around, all of it and what it hides from them.
+
+    Depths on something plain may be a few cells too deep; where they are ``reliable``, two cells are enough.
+    """
+    share_threads()
+    views = maps.views
+    deeper = np.where(reliable & (maps.depths > 0), np.float32((_DEEPER - _BACK) * space.cell), np.float32(0))
+    through, shown = np.zeros(space.shape, np.int32), np.zeros(space.shape, np.int32)
+    kernels.count_through(
+        space.points, maps.depths + deeper, views.poses, views.lenses, views.sizes,
+        np.float32(_DEEPER * space.cell), through.reshape(-1), shown.reshape(-1),
+    )  # fmt: skip
+    return (shown >= _IN_SIGHT * len(views)) & (through <= _MISTAKEN)
 
 
 def _told(

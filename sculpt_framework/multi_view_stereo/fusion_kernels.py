@@ -118,6 +118,21 @@ def count_hiding(points, wanted, depths, poses, lenses, sizes, back, hidden, sho
 
 
 @njit(parallel=True, **_OPTIONS)
+def count_through(points, depths, poses, lenses, sizes, behind, through, shown):
+    """Per point, in how many images it lies, and in how many of them something is seen more than ``behind`` behind
+    it."""
+    for n in prange(points.shape[0]):
+        through[n], shown[n] = 0, 0
+        x, y, z = points[n, 0], points[n, 1], points[n, 2]
+        for i in range(depths.shape[0]):
+            far, u, v = _projected(poses, lenses, i, x, y, z)
+            if not (far > _NEAR and u >= 0 and v >= 0 and u < np.float32(sizes[i, 1]) and v < np.float32(sizes[i, 0])):
+                continue
+            shown[n] += 1
+            through[n] += depths[i, np.int32(v), np.int32(u)] > far + behind
+
+
+@njit(parallel=True, **_OPTIONS)
 def dual_step(ahead, flow, step, soft):
     """Gradient ascent of the flow [x, y, z, 3] along the slopes of ``ahead`` [x, y, z], kept within unit length."""
     nx, ny, nz = ahead.shape

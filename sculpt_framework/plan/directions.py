@@ -47,6 +47,8 @@ _AMONG_POINTS = 0.75
 """Quantile over the points: no highlight is everywhere."""
 _ON_SURFACE = 0.1
 """Quantile over the points: where the hull is not the surface, or textured, views disagree whatever the light."""
+_BURNT_OUT = 0.98
+"""Brightness of the darkest channel from which on it says only that there was much light."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +61,8 @@ class Gloss:
     """Places that were looked at."""
     unevenness: float
     """By what share of its brightness a place usually differs between views, of a place among the tenth that differ
-    least: how much the light, the exposure or the camera's noise changes from image to image."""
+    least: how much the light, the exposure or the camera's noise changes from image to image. Where all channels are
+    clipped nothing can differ: that does not count."""
 
 
 def gloss(views: Sequence[View], box: Box) -> Gloss | None:
@@ -83,7 +86,8 @@ def gloss(views: Sequence[View], box: Box) -> Gloss | None:
 
 
 def brightening(seen: Bool[Tensor, "n v"], colors: Float[Tensor, "n v 3"]) -> Gloss | None:
-    """Of n places in v views: ``gloss`` from colours alone. None where too few places are seen by four views.
+    """Of n places in v views: ``gloss`` from colours alone. None where too few places are seen by four
+    views, and not over-exposed.
 
     Places that eight views see count alone where there are enough.
     """
@@ -100,13 +104,21 @@ def brightening(seen: Bool[Tensor, "n v"], colors: Float[Tensor, "n v 3"]) -> Gl
         # The least of the channels: what all of them have in common.
         common = torch.where(seen, (sign * change).amin(dim=2).clamp(min=0), torch.nan)
         tails.append(common.nanquantile(_TAIL, dim=1))
-    away = torch.where(seen, change.abs().mean(dim=2), torch.nan).nanmedian(dim=1).values
-    brightness = float(usual.mean(dim=2).nanmedian())
-    return Gloss(
-        strength=float((tails[0] - tails[1]).quantile(_AMONG_POINTS)) if told else None,
-        points=len(seen),
-        unevenness=float(away.quantile(_ON_SURFACE)) / max(brightness, 1e-3),
-    )
+    uneven = _unevenness(seen & (colors.amin(dim=2) < _BURNT_OUT), colors)
+    if uneven is None:
+        return None
+    strength = float((tails[0] - tails[1]).quantile(_AMONG_POINTS)) if told else None
+    return Gloss(strength=strength, points=len(seen), unevenness=uneven)
+
+
+def _unevenness(seen: Bool[Tensor, "n v"], colors: Float[Tensor, "n v 3"]) -> float | None:
+    enough = seen.sum(dim=1) >= _LEAST
+    if int(enough.sum()) < _LEAST_POINTS:
+        return None
+    seen, colors = seen[enough], colors[enough]
+    usual = torch.where(seen[..., None], colors, torch.nan).nanmedian(dim=1, keepdim=True).values
+    away = torch.where(seen, (colors - usual).abs().mean(dim=2), torch.nan).nanmedian(dim=1).values
+    return float(away.quantile(_ON_SURFACE)) / max(float(usual.mean(dim=2).nanmedian()), 1e-3)
 
 
 def _reduced(view: View, pixels: int) -> View:

@@ -3,7 +3,8 @@
 Coarse depth maps of everything around the object are joined into a volume. The plane that the object stands on is cut
 away, and of the pieces that are left those that most of the depths lie on are the object. Its outlines are right in
 all views together, to a pixel of the coarse images. Parts without depths are added where the colours of all views agree
-(``plain_parts``); along the outlines, each view's colours decide.
+(``plain_parts``); along the outlines, each view's colours decide. An object that has hardly any depths is what hardly
+any view sees through (``plain_object``).
 """
 
 import logging
@@ -14,18 +15,18 @@ import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float64
-from scipy import ndimage
 
 from sculpt_framework.multi_view_stereo.depth_maps import DepthMaps, StereoOptions, depth_bounds, find_depths
 from sculpt_framework.multi_view_stereo.fusion import fuse_without_outlines
 from sculpt_framework.multi_view_stereo.stereo_views import StereoViews, stereo_views
-from sculpt_framework.posed_images.grab_cut import LEAST, background_of, cut_along, masked, rough_cut
+from sculpt_framework.posed_images.grab_cut import LEAST
+from sculpt_framework.posed_images.plain_object import not_seen_through, with_cut_edges
 from sculpt_framework.posed_images.plain_parts import agreed, grown
-from sculpt_framework.posed_images.still_background import with_still_background
+from sculpt_framework.posed_images.rough_masks import RoughMask, cut_masks, rough_masks
+from sculpt_framework.posed_images.solid import CLEAR, Solid, cloud, fills_space, pieces
 from sculpt_framework.posed_images.support import Plane, find_planes, goes_on
 from sculpt_framework.shape_from_images.volume import Volume, whole_box
 from sculpt_framework.spread import spread
-from sculpt_framework.threads import in_threads
 from sculpt_framework.types import Box, Support, View
 
 _AROUND = 2.0
@@ -49,13 +50,6 @@ _LOOSE, _ROOMY = 0.8, 1.15
 """A box around the object, wider than it by the second, is looked into once more where it is narrower than this share
 of the one that was looked into."""
 _MORE = 1.2
-_CLEAR = 0.01
-"""Above the plane it stands on, in units of the box's half side, the object begins."""
-_OWN, _GROWN = 0.1, 2
-"""Pieces with so many of the depths that the largest has belong to the object, too; a depth is a piece's within so many
-cells."""
-_AIMED = 0.2
-"""Shares of an image's sides from its middle within which depths count: photographs are taken of the object."""
 _LESS = 0.5
 """Of the depths on a plane, so counted, that are on the object at least. It was 0.9 and more on tables and walls, and
 0.2 on a brick that is a part of the object."""
@@ -68,9 +62,6 @@ _KNOWN = 0.02
 _MEANT = 0.25
 """Of all depths, by their nearness to the middles of the images, those on the object at least: photographs are taken of
 it. Captures come to 0.36 and more, views that agree by chance to 0.02, and one image from everywhere to 0.16."""
-_WALLED, _ROOM, _OPEN = 0.1, 5, 3
-"""What takes up more than this share of so many of the six walls of the space is a room, or a table, not an object:
-the first where the space is known to hold the object, of which there may be more beyond it, the second elsewhere."""
 _SURE, _SHOWN = 0.6, 0.85
 """Share of the masks in which what is nearest must have been seen, and of the images that must show it: else views
 agree by chance."""
@@ -116,25 +107,33 @@ def find_object(
         search = search if isinstance(again, str) else again
     frame, posed, solid = search.frame, search.posed, search.solid
     stack = stereo_views([replace(view, alpha=None) for view in posed], _AROUND * _PIXELS / 2)
-    rough = _outlines(stack, len(posed), solid)
-    whole = sum(int(each.inside.sum()) for each in rough)
-    share = sum(int((each.inside & each.sure).sum()) for each in rough) / max(1, whole)
-    if share < _SURE:
-        return f"{solid.known}, but of what they make up only {100 * share:.0f} % is seen"
     one_sided = _one_sided(posed)
-    outlines = rough if one_sided else _with_plain_parts(posed, rough, stack, solid)
-    done = _masked(given, outlines, blind=one_sided)
+    rough = rough_masks(stack, len(posed), solid)
+    share = _seen_of(rough)
+    if share < _SURE:
+        dense = None if one_sided or keep_support else not_seen_through(solid.volume, solid.maps, solid.known)
+        if dense is None:
+            return f"{solid.known}, but of what they make up only {100 * share:.0f} % is seen"
+        solid = dense
+        rough = rough_masks(stack, len(posed), solid)
+    if solid.plain:
+        outlines = with_cut_edges(given, posed, rough, stack, solid)
+    else:
+        outlines = rough if one_sided else _with_plain_parts(posed, rough, stack, solid)
+    done = cut_masks(given, outlines, blind=one_sided)
     train = [view for view in done[: len(views)] if _shows(view)]
     # By depths alone it must be shown well enough, too: what colours add to a speck is no object.
     shown = min(len(train), sum(each.inside.mean() >= LEAST for each in rough[: len(views)]))
     if shown < _SHOWN * len(views):
         return f"{solid.known}, but only {shown} of {len(views)} images show what they make up"
     said = f"{bare} of {len(done)} images have no mask: the object is what they agree on in depth ({solid.known})"
+    said += "; it is too plain for depths: it is what few views see through" if solid.plain else ""
     said += f"; {_CUT_AWAY[len(solid.planes)]} cut away (--dataset.keep-support leaves it)" if solid.planes else ""
     said += "; look at the masks: sculpt-data masks DIR."
     if len(train) < len(views):
         said += f" {len(views) - len(train)} images that do not show it are left out."
-    points = frame.to_world(torch.from_numpy(solid.points)).numpy()
+    points = cloud(solid.maps)[0]
+    points = frame.to_world(torch.from_numpy(points[:: -(-len(points) // _TOLD)])).numpy()
     return FoundObject(
         train=train,
         test=done[len(views) :],
@@ -162,22 +161,6 @@ def _up(planes: Sequence[Plane], views: Sequence[View]) -> tuple[float, float, f
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Solid:
-    """The object in cells."""
-
-    volume: Volume
-    inside: Bool[np.ndarray, "x y z"]
-    seen: Bool[np.ndarray, "x y z"]
-    """Near what some view sees."""
-    planes: list[Plane]
-    """What it stands on or before, which is cut away."""
-    known: str
-    """What there is of depths, in words."""
-    points: Float64[np.ndarray, "n 3"]
-    """Some of all depths."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class _Search:
     """What was found in a space."""
 
@@ -185,7 +168,7 @@ class _Search:
     """The space."""
     posed: list[View]
     """All views, with cameras in its frame."""
-    solid: _Solid
+    solid: Solid
 
 
 def _search(given: Sequence[View], train: int, seed: Box, *, sure: bool, keep_support: bool) -> _Search | str:
@@ -210,7 +193,7 @@ def _closer(search: _Search) -> Box | None:
     return Box(minimum=low, maximum=high)
 
 
-def _solid(views: Sequence[View], *, sure: bool, keep_support: bool) -> _Solid | str:
+def _solid(views: Sequence[View], *, sure: bool, keep_support: bool) -> Solid | str:
     """What depths show of the object, or in words why that is none. Cameras in the frame of the cube."""
     reach = min([1.0, *(_WITHIN * float(view.camera.position.norm()) for view in views)])
     space = whole_box((1.0, 1.0, 1.0), _SPACE_CELLS)
@@ -220,23 +203,31 @@ def _solid(views: Sequence[View], *, sure: bool, keep_support: bool) -> _Solid |
     known = f"depths at {100 * maps.known:.0f} % of the pixels of {len(maps.views)} views"
     if maps.known < _KNOWN:
         return f"only {known}: neighbouring views show little that is alike"
-    points, normals, aimed = _cloud(maps)
     half = _MORE / _AROUND
-    volume = whole_box((half, half, half), _CELLS)
-    shape, seen = fuse_without_outlines(volume, maps, all_around=not _one_sided(views))
+    volume, all_around = whole_box((half, half, half), _CELLS), not _one_sided(views)
+    found = _what_has_depths(volume, maps, known, all_around=all_around, sure=sure, keep_support=keep_support)
+    if isinstance(found, str) and all_around and not keep_support:
+        return not_seen_through(volume, maps, known) or found
+    return found
+
+
+def _what_has_depths(
+    volume: Volume, maps: DepthMaps, known: str, *, all_around: bool, sure: bool, keep_support: bool
+) -> Solid | str:
+    points, normals, aimed = cloud(maps)
+    half = -float(volume.origin[0])
+    shape, seen = fuse_without_outlines(volume, maps, all_around=all_around)
     planes = [] if keep_support else find_planes(points, normals, half)
-    inside, own = _pieces(shape, points, aimed, planes)
+    inside, own = pieces(shape, points, aimed, planes)
     while parts := [plane for plane in planes if _is_part(plane, points, aimed, own, half)]:
         planes.remove(parts[0])
-        inside, own = _pieces(shape, points, aimed, planes)
+        inside, own = pieces(shape, points, aimed, planes)
     meant = float(aimed[own].sum() / aimed.sum())
     if meant < _MEANT:
         return f"{known}, of which only {100 * meant:.1f} % are on something solid beside what it may stand on"
-    walls = [wall for axis in range(3) for wall in (inside.take(0, axis), inside.take(-1, axis))]
-    if not keep_support and sum(wall.mean() > _WALLED for wall in walls) >= (_ROOM if sure else _OPEN):
+    if not keep_support and fills_space(inside, sure=sure):
         return f"{known}, but what they show fills the space: no object ends within it"
-    some = points[:: -(-len(points) // _TOLD)]
-    return _Solid(volume=volume, inside=inside, seen=seen, planes=planes, known=known, points=some)
+    return Solid(volume=volume, inside=inside, seen=seen, planes=planes, known=known, maps=maps)
 
 
 def _without_burnt_out(maps: DepthMaps, views: Sequence[View]) -> DepthMaps:
@@ -269,69 +260,10 @@ def _is_part(
     return bool(aside) or not goes_on(plane, points, points[own], half)
 
 
-def _cloud(
-    maps: DepthMaps,
-) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3"], Float64[np.ndarray, " n"]]:
-    """All depths as points with normals, and how much each is in the middle of its image."""
-    points, normals, aimed = [], [], []
-    for view, (depths, facing) in enumerate(zip(maps.depths, maps.normals, strict=True)):
-        rows, columns = np.nonzero(depths > 0)
-        fx, fy, cx, cy = maps.views.lenses[view].tolist()
-        height, width = maps.views.sizes[view].tolist()
-        off = np.hypot((columns + 0.5) / width - 0.5, (rows + 0.5) / height - 0.5)
-        aimed.append(np.exp(-0.5 * (off / _AIMED) ** 2))
-        rays = np.stack([(columns + 0.5 - cx) / fx, (rows + 0.5 - cy) / fy, np.ones(len(rows))], axis=1)
-        turn, shift = maps.views.poses[view, :, :3].astype(float), maps.views.poses[view, :, 3].astype(float)
-        points.append((rays * depths[rows, columns, None] - shift) @ turn)
-        normals.append(facing[rows, columns].astype(float) @ turn)
-    return np.concatenate(points), np.concatenate(normals), np.concatenate(aimed)
-
-
-def _pieces(
-    shape: Volume, points: Float64[np.ndarray, "n 3"], aimed: Float64[np.ndarray, " n"], planes: Sequence[Plane]
-) -> tuple[Bool[np.ndarray, "x y z"], Bool[np.ndarray, " n"]]:
-    """The cells of the pieces above the planes that most points lie on, by their weights ``aimed``, without bubbles;
-    and which points these are, none if there are no such pieces."""
-    inside, counted = shape.values < 0, np.ones(len(points), bool)
-    middles = shape.points.astype(float)
-    for plane in planes:
-        inside &= (plane.height(middles) > _CLEAR).reshape(shape.shape)
-        counted &= plane.height(points) > 2 * _CLEAR
-    labels = np.zeros(inside.shape, np.int32)
-    ndimage.label(inside, output=labels)
-    near = ndimage.grey_dilation(labels, size=2 * _GROWN + 1)
-    cells = np.floor((points - np.array(shape.origin)) / shape.cell).astype(np.int64)
-    counted &= ((cells >= 0) & (cells < np.array(shape.shape))).all(axis=1)
-    held = np.zeros(len(points), np.int32)
-    held[counted] = near[tuple(cells[counted].T)]
-    counts = np.bincount(held, aimed, minlength=int(labels.max()) + 1)
-    counts[0] = 0
-    own = (counts > 0) & (counts >= _OWN * counts.max())
-    return np.asarray(ndimage.binary_fill_holes(own[labels]), dtype=bool), own[held]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Rough:
-    """A view's mask at the size of the images that were compared."""
-
-    inside: Bool[np.ndarray, "h w"]
-    sure: Bool[np.ndarray, "h w"]
-    """What is nearest there has been seen; elsewhere something only hides what is behind it from most views."""
-
-
-_NOTHING = _Rough(inside=np.zeros((1, 1), bool), sure=np.zeros((1, 1), bool))
-
-
-def _outlines(stack: StereoViews, count: int, solid: _Solid) -> list[_Rough]:
-    """Of so many views, of which ``stack`` has those that show the volume."""
-    nearest, _ = depth_bounds(stack, solid.inside, solid.volume)
-    nearest_seen, _ = depth_bounds(stack, solid.inside & solid.seen, solid.volume)
-    sure = (nearest_seen > 0) & (nearest_seen < nearest + _GROWN * solid.volume.cell)
-    found = {
-        int(given): _Rough(inside=nearest[i, :rows, :columns] > 0, sure=sure[i, :rows, :columns])
-        for i, (given, (rows, columns)) in enumerate(zip(stack.given, stack.sizes, strict=True))
-    }
-    return [found.get(index, _NOTHING) for index in range(count)]
+def _seen_of(rough: Sequence[RoughMask]) -> float:
+    """Share of the masks in which what is nearest has been seen."""
+    whole = sum(int(each.inside.sum()) for each in rough)
+    return sum(int((each.inside & each.sure).sum()) for each in rough) / max(1, whole)
 
 
 def _one_sided(views: Sequence[View]) -> bool:
@@ -342,8 +274,8 @@ def _one_sided(views: Sequence[View]) -> bool:
 
 
 def _with_plain_parts(
-    views: Sequence[View], rough: Sequence[_Rough], stack: StereoViews, solid: _Solid
-) -> list[_Rough]:
+    views: Sequence[View], rough: Sequence[RoughMask], stack: StereoViews, solid: Solid
+) -> list[RoughMask]:
     """The outlines with what else is the object by the colours of all views, above what it stands on."""
     showing = [number for number, each in enumerate(rough) if each.inside.any()]
     masks = grown([views[number] for number in showing], [rough[number].inside for number in showing])
@@ -352,7 +284,7 @@ def _with_plain_parts(
     points = volume.points.astype(float)
     full = agreed(points, [views[number].camera for number in showing], masks)
     for plane in solid.planes:
-        full &= plane.height(points) > _CLEAR
+        full &= plane.height(points) > CLEAR
     nearest, _ = depth_bounds(stack, full.reshape(volume.shape), volume)
     held = {int(given): nearest[i] > 0 for i, given in enumerate(stack.given)}
     out = list(rough)
@@ -361,20 +293,6 @@ def _with_plain_parts(
         more = mask & held[number][:rows, :columns]
         # As all views agree on some of what is between their outlines, it stays to be decided.
         out[number] = replace(rough[number], inside=rough[number].inside | more)
-    return out
-
-
-def _masked(views: Sequence[View], rough: Sequence[_Rough], *, blind: bool) -> list[View]:
-    """Those without an alpha get one, along their rough outlines; ``blind`` where these end short of borders."""
-    bare = [number for number, view in enumerate(views) if view.alpha is None]
-    cuts = in_threads(
-        lambda number: rough_cut(views[number], rough[number].inside, rough[number].sure, blind=blind), bare
-    )
-    cuts = with_still_background(cuts, [views[number].camera for number in bare])
-    background = background_of(cuts)
-    out = list(views)
-    for number, mask in zip(bare, in_threads(lambda cut: cut_along(cut, background), cuts), strict=True):
-        out[number] = masked(views[number], mask)
     return out
 
 

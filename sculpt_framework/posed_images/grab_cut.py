@@ -66,8 +66,8 @@ def strip(start: Mask, wide: int, *, sure: Mask, possible: Mask, within: int | N
     """What may be decided within ``wide`` pixels of a mask's outline: outside of it is background, and so is what is
     not ``possible``; inside of it is the object where that is ``sure``, from ``within`` pixels on if that is given."""
     # The image's border is no outline: an object that is cut off there goes on.
-    inner = cv2.erode((start & sure).astype(np.uint8), _disk(wide if within is None else within), borderValue=1) > 0
-    outer = (cv2.dilate(start.astype(np.uint8), _disk(wide)) > 0) & possible
+    inner = cv2.erode((start & sure).astype(np.uint8), disk(wide if within is None else within), borderValue=1) > 0
+    outer = (cv2.dilate(start.astype(np.uint8), disk(wide)) > 0) & possible
     trimap = np.where(start, cv2.GC_PR_FGD, cv2.GC_PR_BGD)
     trimap = np.where(outer, trimap, cv2.GC_BGD)
     return np.where(inner, cv2.GC_FGD, trimap).astype(np.uint8)
@@ -208,13 +208,13 @@ def rough_cut(view: View, rough: Mask, sure: Mask, *, blind: bool) -> RoughCut:
     )
     wide = max(1, int(_STRIP * width / rough.shape[1]))
     # Depths reach beyond outlines: beside what is not seen, nothing is sure either, and still less teaches.
-    beside, near = (cv2.dilate((start & ~seen).astype(np.uint8), _disk(radius)) > 0 for radius in (wide, 2 * wide))
+    beside, near = (cv2.dilate((start & ~seen).astype(np.uint8), disk(radius)) > 0 for radius in (wide, 2 * wide))
     trimap = strip(start, wide, sure=~beside, possible=np.ones_like(start))
     if blind:
         far = int(_BLIND * width / rough.shape[1])
         border = np.ones_like(start)
         border[far : height - far, far : width - far] = False
-        onwards = cv2.dilate((start & border).astype(np.uint8), _disk(far)) > 0
+        onwards = cv2.dilate((start & border).astype(np.uint8), disk(far)) > 0
         trimap = np.where(border & onwards & (trimap == cv2.GC_BGD), cv2.GC_PR_BGD, trimap).astype(np.uint8)
     return RoughCut(image=small.image, trimap=trimap, doubtful=start & near)
 
@@ -304,5 +304,6 @@ def _density(pixels: UInt8[np.ndarray, "n 3"], mixture: Float64[np.ndarray, "1 6
     return total
 
 
-def _disk(radius: int) -> UInt8[np.ndarray, "k k"]:
+def disk(radius: int) -> UInt8[np.ndarray, "k k"]:
+    """To erode or dilate by so many pixels."""
     return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1)).astype(np.uint8)

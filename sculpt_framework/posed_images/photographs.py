@@ -65,7 +65,7 @@ def load_photographs(
     elif bare and options.masks != "none":
         seed, how = (given, "the box given") if given is not None else seed_box(views, clues)
         sure = given is not None or clues.box is not None
-        cut = _with_masks(views, held_out, seed, sure, options)
+        cut = _with_masks(views, held_out, seed, sure, clues, options)
         views, held_out, up, supports = cut.train, cut.test, cut.up, cut.supports
         points = np.concatenate([points, cut.points])
         said += [f"the object is looked for in {how}.", *cut.said]
@@ -107,13 +107,15 @@ class _Cut:
     """What depths there are, in world frame."""
 
 
-def _with_masks(views: Sequence[View], test: Sequence[View], seed: Box, sure: bool, options: PhotographsConfig) -> _Cut:
+def _with_masks(
+    views: Sequence[View], test: Sequence[View], seed: Box, sure: bool, clues: Clues, options: PhotographsConfig
+) -> _Cut:
     """The object from depths where they tell, else from colours. Raises DataError."""
     # What is compiled and only needed here is imported here.
     from sculpt_framework.posed_images.cut_out import cut_out
     from sculpt_framework.posed_images.find_object import FoundObject, find_object
 
-    notes = []
+    missed = ""
     if options.masks != "cut-out":
         found = find_object(views, test, seed, sure=sure, keep_support=options.keep_support)
         if isinstance(found, FoundObject):
@@ -125,9 +127,15 @@ def _with_masks(views: Sequence[View], test: Sequence[View], seed: Box, sure: bo
                 supports=found.supports,
                 points=found.points,
             )
-        notes.append(f"no object is found by depth: {found}.")
+        missed = f"no object is found by depth: {found}"
     train, held_out, note = cut_out(views, test, seed)
-    return _Cut(train=train, test=held_out, said=[*notes, note])
+    try:
+        fit_box(train, clues)
+    except DataError:
+        said = "what is cut out of the images by their colours contradicts itself from one to the next; put masks "
+        said += "into a folder 'masks' beside the images, or say where the object is with --dataset.box."
+        raise DataError(f"{missed}; {said}" if missed else said) from None
+    return _Cut(train=train, test=held_out, said=[f"{missed}.", note] if missed else [note])
 
 
 def seed_box(views: Sequence[View], clues: Clues) -> tuple[Box, str]:

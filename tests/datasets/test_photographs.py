@@ -15,10 +15,11 @@ from plain_scenes import make_scene, write_image
 
 from sculpt_framework.demo_scenes.cameras import demo_cameras
 from sculpt_framework.errors import DataError
+from sculpt_framework.posed_images import cut_out as cut_out_module
 from sculpt_framework.posed_images import views as views_module
 from sculpt_framework.posed_images.decoding import read_image
 from sculpt_framework.posed_images.headers import read_headers
-from sculpt_framework.types import Scene
+from sculpt_framework.types import Box, Scene, View
 from sculpt_plugins.datasets.auto.config import AutoDatasetConfig
 from sculpt_plugins.datasets.blender.config import BlenderConfig
 from sculpt_plugins.datasets.colmap.config import ColmapConfig
@@ -214,6 +215,24 @@ def test_cutting_out_is_repeatable(cluttered_scene: tuple[Path, list[Shot]], cut
     assert first is not None
     assert second is not None
     assert torch.equal(first, second)
+
+
+def test_masks_by_colours_that_contradict_each_other_are_said_to(
+    cluttered_scene: tuple[Path, list[Shot]], monkeypatch: pytest.MonkeyPatch
+):
+    """Where nothing is left of their hull, not poses are to blame."""
+
+    def corners(views: list[View], test: list[View], seed: Box) -> tuple[list[View], list[View], str]:
+        masked = []
+        for index, view in enumerate(views):
+            alpha = torch.zeros(view.rgb.shape[:2])
+            alpha[5:15, 5:15] = 1
+            masked.append(replace(view, alpha=alpha.flip(index % 2)))
+        return masked, test, ""
+
+    monkeypatch.setattr(cut_out_module, "cut_out", corners)
+    with pytest.raises(DataError, match=r"no object is found by depth: .*contradicts itself from one to the next; put"):
+        AutoDatasetConfig().build(str(cluttered_scene[0])).load()
 
 
 def test_cutting_out_can_be_declined(cluttered_scene: tuple[Path, list[Shot]]):

@@ -13,7 +13,7 @@ from sculpt_framework.config import InitializerConfig
 from sculpt_framework.demo_scenes.cameras import demo_cameras
 from sculpt_framework.errors import DataError
 from sculpt_framework.multi_view_stereo.depth_maps import DepthMaps, StereoOptions, find_depths
-from sculpt_framework.multi_view_stereo.fusion import fuse, fuse_without_outlines, without_bubbles
+from sculpt_framework.multi_view_stereo.fusion import dense_cells, fuse, fuse_without_outlines, without_bubbles
 from sculpt_framework.multi_view_stereo.stereo_views import stereo_views
 from sculpt_framework.shape_from_images import missing, within_hull
 from sculpt_framework.shape_from_images.hull import visual_hull
@@ -136,23 +136,52 @@ def test_what_is_unknown_stays_near_the_hull() -> None:
     assert not ((shape.values < 0) & (whole.values > 0)).any()
 
 
-def test_without_outlines_a_plain_ball_is_where_nobody_sees_through() -> None:
-    """No depth on it, and what is behind it shows all around it. Where few images look there is nothing."""
-    plain = DentedBall(radius=0.8, dent=0.0)
-    views = [photograph(plain, camera, masked=False) for camera in demo_cameras(24, 96)]
-    maps = exact_maps(plain, stereo_views(views, 48.0))
+PLAIN = DentedBall(radius=0.8, dent=0.0)
+
+
+@pytest.fixture(scope="module")
+def all_behind() -> DepthMaps:
+    """No depth on a plain ball, and what is far behind it all around it."""
+    views = [photograph(PLAIN, camera, masked=False) for camera in demo_cameras(24, 96)]
+    maps = exact_maps(PLAIN, stereo_views(views, 48.0))
     behind = np.where(maps.views.inside & (maps.depths == 0), np.float32(20), np.float32(0))
     facing = np.broadcast_to(np.array([0, 0, -1], np.float32), maps.normals.shape).copy()
-    maps = replace(maps, depths=behind, normals=facing, confidence=(behind > 0).astype(np.float32))
+    return replace(maps, depths=behind, normals=facing, confidence=(behind > 0).astype(np.float32))
+
+
+def test_without_outlines_a_plain_ball_is_where_nobody_sees_through(all_behind: DepthMaps) -> None:
+    """Where few images look there is nothing."""
     box = whole_box((2.0, 2.0, 2.0), 80)
-    shape, _ = fuse_without_outlines(box, maps, all_around=True)
-    away = plain.distance(box.points) / box.cell
+    shape, _ = fuse_without_outlines(box, all_behind, all_around=True)
+    away = PLAIN.distance(box.points) / box.cell
     inside = shape.values.reshape(-1) < 0
     # Smoothing shrinks what nobody has seen.
     assert inside[away < -5].all()
     assert not inside[away > 1].any()
-    nothing, _ = fuse_without_outlines(box, maps, all_around=False)
+    nothing, _ = fuse_without_outlines(box, all_behind, all_around=False)
     assert not (nothing.values < 0).any()
+
+
+@pytest.mark.parametrize(("wrong", "stays"), [(0, True), (2, True), (3, False)])
+def test_two_views_may_be_wrong_about_what_they_see_through(wrong: int, stays: bool, all_behind: DepthMaps) -> None:
+    depths = all_behind.depths.copy()
+    depths[:wrong][all_behind.views.inside[:wrong]] = 20
+    box = whole_box((2.0, 2.0, 2.0), 80)
+    dense = dense_cells(box, replace(all_behind, depths=depths), np.zeros(depths.shape, bool)).reshape(-1)
+    away = PLAIN.distance(box.points) / box.cell
+    assert dense[away < -1].all() == stays
+    assert not dense[away > 2].any()
+
+
+def test_depths_a_little_behind_a_place_tell_that_it_is_empty_where_they_are_reliable(all_behind: DepthMaps) -> None:
+    """Everything that is seen is four cells behind the middle."""
+    box = whole_box((2.0, 2.0, 2.0), 80)
+    middle = (box.points**2).sum(axis=1).argmin()
+    far = np.linalg.norm(all_behind.views.positions - box.points[middle], axis=1)
+    near = replace(all_behind, depths=np.tile((far + 4 * box.cell)[:, None, None], (1, *all_behind.depths.shape[1:])))
+    for reliable in (False, True):
+        told = dense_cells(box, near, np.full(near.depths.shape, reliable)).reshape(-1)
+        assert told[middle] != reliable
 
 
 def test_bubbles_are_filled_and_crumbs_removed() -> None:

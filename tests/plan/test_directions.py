@@ -53,3 +53,14 @@ def test_places_that_eight_views_see_count_alone_where_there_are_enough() -> Non
     assert found is not None
     assert found.points == PLACES
     assert found.unevenness == 0.0
+
+
+def test_what_is_over_exposed_does_not_tell_that_light_is_even() -> None:
+    """Of a white object, half of the places are clipped in all views, and the others differ."""
+    colors = torch.ones(2 * PLACES, 8, 3)
+    colors[PLACES:] = 0.5 * torch.tensor(GAINS)[None, :, None]
+    seen = torch.ones(2 * PLACES, 8, dtype=torch.bool)
+    found = brightening(seen, colors)
+    assert found is not None
+    assert found.unevenness == pytest.approx(0.1, abs=0.02)
+    assert brightening(seen, torch.ones_like(colors)) is None

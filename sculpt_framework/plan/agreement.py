@@ -66,7 +66,7 @@ def stereo(config: SculptingConfig, evidence: Evidence) -> Ruling:
         why += f"; {100 * evidence.cut:.0f} % of the masks are cut by the border"
     elif evidence.gloss is None or evidence.gloss.strength is None:
         # Carving needs many words against one that is wrong.
-        why += "; places are seen by fewer than eight views"
+        why += "; places are seen by fewer than eight views, or over-exposed"
     elif evidence.gloss.unevenness < UNEVEN_COLORS:
         return Ruling(config=config, value="as the method starts", evidence=why, measured=measured)
     return Ruling(

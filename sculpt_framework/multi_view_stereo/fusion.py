@@ -8,10 +8,11 @@ f is the signed distance to what the views see, w how sure they are of it togeth
 distance to the shape known before, with little weight: there the surface bends as little as possible.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float32
+from jaxtyping import Bool, Float32, Int32
 from scipy import ndimage
 
 from sculpt_framework.cpu_kernels import kernel_cache, share_threads
@@ -88,15 +89,10 @@ def fuse_without_outlines(
     it: plain objects have no depths. It is empty elsewhere. Nothing is removed: there may be pieces of whatever else is
     in that space.
     """
-    share_threads()
-    views, asked = maps.views, space.values < 0
-    hidden, shown = np.zeros(space.shape, np.int32), np.zeros(space.shape, np.int32)
-    kernels.count_hiding(
-        space.points, asked.reshape(-1), maps.depths, views.poses, views.lenses, views.sizes,
-        np.float32(_BACK * space.cell), hidden.reshape(-1), shown.reshape(-1),
-    )  # fmt: skip
+    asked = space.values < 0
+    hidden, _, shown = _sights(space, asked, maps)
     behind = hidden > np.maximum(_HIDING, _HIDDEN * shown)
-    plain = (shown >= _IN_SIGHT * len(views)) & all_around
+    plain = (shown >= _IN_SIGHT * len(maps.views)) & all_around
     before = np.where(behind | plain, _LOWEST, np.float32(1))
     prior = np.where(hidden > 0, np.float32(2 * _PRIOR), np.float32(_PRIOR))
     least = np.where(asked, _LOWEST, np.float32(1))
@@ -110,15 +106,25 @@ def dense_cells(space: Volume, maps: DepthMaps, reliable: Bool[np.ndarray, "n h 
 
     Depths on something plain may be a few cells too deep; where they are ``reliable``, two cells are enough.
     """
+    deeper = np.where(reliable & (maps.depths > 0), np.float32((_DEEPER - _BACK) * space.cell), np.float32(0))
+    anywhere = np.ones(space.shape, bool)
+    _, through, shown = _sights(space, anywhere, replace(maps, depths=maps.depths + deeper))
+    return (shown >= _IN_SIGHT * len(maps.views)) & (through <= _MISTAKEN)
+
+
+def _sights(
+    space: Volume, asked: Bool[np.ndarray, "x y z"], maps: DepthMaps
+) -> tuple[Int32[np.ndarray, "x y z"], Int32[np.ndarray, "x y z"], Int32[np.ndarray, "x y z"]]:
+    """Views that see something ``_BACK`` cells in front of a cell, ``_DEEPER`` cells behind it, and that show it."""
     share_threads()
     views = maps.views
-    deeper = np.where(reliable & (maps.depths > 0), np.float32((_DEEPER - _BACK) * space.cell), np.float32(0))
-    through, shown = np.zeros(space.shape, np.int32), np.zeros(space.shape, np.int32)
-    kernels.count_through(
-        space.points, maps.depths + deeper, views.poses, views.lenses, views.sizes,
-        np.float32(_DEEPER * space.cell), through.reshape(-1), shown.reshape(-1),
+    hidden, through, shown = (np.zeros(space.shape, np.int32) for _ in range(3))
+    kernels.count_sights(
+        space.points, asked.reshape(-1), maps.depths, views.poses, views.lenses, views.sizes,
+        np.float32(_BACK * space.cell), np.float32(_DEEPER * space.cell),
+        hidden.reshape(-1), through.reshape(-1), shown.reshape(-1),
     )  # fmt: skip
-    return (shown >= _IN_SIGHT * len(views)) & (through <= _MISTAKEN)
+    return hidden, through, shown
 
 
 def _told(

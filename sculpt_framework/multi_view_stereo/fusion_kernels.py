@@ -100,11 +100,11 @@ def vote(points, wanted, depths, normals, weights, poses, lenses, front, back, v
 
 
 @njit(parallel=True, **_OPTIONS)
-def count_hiding(points, wanted, depths, poses, lenses, sizes, back, hidden, shown):
-    """Per ``wanted`` point, in how many images it lies, and in how many of them something is seen more than ``back`` in
-    front of it."""
+def count_sights(points, wanted, depths, poses, lenses, sizes, before, behind, hidden, through, shown):
+    """Per ``wanted`` point, in how many images it lies, in how many of them something is seen more than ``before`` in
+    front of it, and in how many more than ``behind`` behind it."""
     for n in prange(points.shape[0]):
-        hidden[n], shown[n] = 0, 0
+        hidden[n], through[n], shown[n] = 0, 0, 0
         if not wanted[n]:
             continue
         x, y, z = points[n, 0], points[n, 1], points[n, 2]
@@ -114,22 +114,8 @@ def count_hiding(points, wanted, depths, poses, lenses, sizes, back, hidden, sho
                 continue
             depth = depths[i, np.int32(v), np.int32(u)]
             shown[n] += 1
-            hidden[n] += depth > 0 and depth < far - back
-
-
-@njit(parallel=True, **_OPTIONS)
-def count_through(points, depths, poses, lenses, sizes, behind, through, shown):
-    """Per point, in how many images it lies, and in how many of them something is seen more than ``behind`` behind
-    it."""
-    for n in prange(points.shape[0]):
-        through[n], shown[n] = 0, 0
-        x, y, z = points[n, 0], points[n, 1], points[n, 2]
-        for i in range(depths.shape[0]):
-            far, u, v = _projected(poses, lenses, i, x, y, z)
-            if not (far > _NEAR and u >= 0 and v >= 0 and u < np.float32(sizes[i, 1]) and v < np.float32(sizes[i, 0])):
-                continue
-            shown[n] += 1
-            through[n] += depths[i, np.int32(v), np.int32(u)] > far + behind
+            hidden[n] += depth > 0 and depth < far - before
+            through[n] += depth > far + behind
 
 
 @njit(parallel=True, **_OPTIONS)
